@@ -8,10 +8,15 @@ import numpy as np
 from scipy import special
 
 from memsgyro_jax.effects import InstrumentTerm
-from memsgyro_jax.effects.lock_in_terms import CapacitiveFeedthrough, LockInFeedthrough, ReferencePhase
+from memsgyro_jax.effects.lock_in_terms import (
+    CapacitiveFeedthrough,
+    LateReadings,
+    LockInFeedthrough,
+    ReferencePhase,
+)
 from memsgyro_jax.effects.readout_delay import ReadoutDelay
 
-from .acceptance import too_late
+from .acceptance import BEYOND_LINEAR, excess, too_late
 from .estimates import unseen_terms
 from .fit import beside_case
 from .instrument import declared_terms, every_term, instrument_terms
@@ -23,6 +28,7 @@ from .search import CONFUSED, WORTH_A_LOOK, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
+MOST = 0.5  # of the misfit beyond noise, which what comes late as a whole must take
 SAME = 0.1  # of χ²: two fits that differ by less are one
 
 
@@ -111,6 +117,39 @@ def as_a_capacitance(search: Search) -> None:
         search.joint, search.optimum, search.unseen = whole, optimum, None
         search.steps = [*search.steps, SearchStep(said, fit)]
         search.tell(f"put {said}: χ²/dof {fit.chi2_per_dof:.4g}")
+
+
+def as_late(search: Search) -> Search:
+    """The search with what comes late as a whole beside a turned reference, where the sweeps tell that its angle runs
+    with the frequency and this takes most of what is missing; the same search else.
+
+    A late read-out of many periods is found by no step from none: its angle has turned often before its slope shows,
+    and what leaks past the device is turned as well.
+    """
+    effects, own = search.joint.model.effects, len(search.given)
+    present = [effects[i] for i in (*search.given, *search.accepted)]
+    late = [t for t in every_term(search.case) if isinstance(t, LateReadings)]
+    if not late or any(isinstance(effect, ReadoutDelay | LateReadings) for effect in present):
+        return search
+    if not any(isinstance(effect, ReferencePhase) and not effect.where for effect in present):
+        return search
+    missing = excess(search.optimum)
+    offer = promised(search.optimum, offers_of(search.steps[-1].fit, late), SHARE * search.level)
+    if not offer.chosen or BEYOND_LINEAR * offer.gain < MOST * missing:
+        return search
+    model = search.joint.at(search.optimum.vector)
+    model = model.with_only((*model.effects[:own], *late, *model.effects[own:]))
+    whole = Joint(model, search.joint.readings, search.joint.programs)
+    accepted = [i + 1 for i in search.accepted]
+    optimum = optimise(whole, whole.start, always_free(whole, (*range(own + 1), *accepted)), whole.fitted)
+    if excess(optimum) > (1.0 - MOST) * missing:
+        return search
+    search.tell(f"added {late[0].label}: χ²/dof {optimum.chi2 / optimum.dof:.4g}")
+    out = Search(search.base, search.level, range(own + 1), search.tell)
+    out.joint, out.optimum, out.accepted, out.keep = whole, optimum, accepted, search.keep
+    out.own, out.looked = tuple(i + 1 for i in search.own), search.looked
+    out.steps = [*search.steps, SearchStep(late[0].label, beside_case(search.case, whole, optimum))]
+    return out
 
 
 def as_a_phase(search: Search) -> Search:

@@ -27,6 +27,7 @@ from memsgyro_jax.effects.instrument import (
 from memsgyro_jax.effects.lock_in_terms import (
     CapacitiveFeedthrough,
     InterferingLine,
+    LateReadings,
     LockInBackground,
     LockInFeedthrough,
     LockInMemory,
@@ -139,7 +140,17 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
     tried = instrument_terms(case)
     twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
     warm = undeclared_temperature(case)
-    return (*tried, *twin, *declared_terms(case), *([] if warm is None else [warm]))
+    return (*tried, *twin, *_late(case), *declared_terms(case), *([] if warm is None else [warm]))
+
+
+def _late(case: Case) -> list[LateReadings]:
+    """What comes late as a whole, of sweeps that show phasors."""
+    groups = _Groups.of(case)
+    swept = [r.frequency for r in case.records if hasattr(r, "setting") and np.iscomplexobj(r.readings)]
+    if not (swept and groups.swept):
+        return []
+    together = _together(groups.swept)
+    return [LateReadings(np.zeros(1), groups.table(together), np.median(np.concatenate(swept)))]
 
 
 def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:

@@ -13,7 +13,7 @@ from .acceptance import BEYOND_LINEAR, excess, share_needed
 from .best_single import Best, best_single
 from .effort import NEARLY_ALL, exhausted, far_from_noise
 from .exchange import stand_ins
-from .fewer import SHARE, as_a_capacitance, cost, imitated
+from .fewer import SHARE, as_a_capacitance, as_late, cost, imitated
 from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
@@ -342,7 +342,7 @@ def beside_terms(alone: Search, search: Search, effects: Sequence[Effect]) -> Se
     out.keep(out)
     imitated(out)
     as_a_capacitance(out)
-    return out
+    return as_late(out)
 
 
 def _labels(search: Search, places: Sequence[int]) -> set[str]:

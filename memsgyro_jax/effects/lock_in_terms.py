@@ -162,6 +162,28 @@ class CapacitiveFeedthrough(InstrumentTerm, LockInEffect):
         return _each_part(self.moved(seen))
 
 
+class LateReadings(InstrumentTerm, LockInEffect):
+    """All that is read comes late by s, what leaks past the device too, as behind a converter that takes many periods:
+    V → V·exp(−i(ω − ω₀)·s). Zero: at once. What turns all frequencies alike is `reference_phase`, so that whole periods
+    do not count; a `readout_delay` is the device's alone.
+
+    Args:
+        middle: ω₀, amid the frequencies that were swept [rad/s].
+    """
+
+    name, unit, law = "late_readings", "s", "V → V·exp(−i(ω − ω₀)·s)"
+    in_proportion: ClassVar[bool] = True
+    strength: Array = strength((0.0,))
+    entry: Array = row_field((((0.0,),),))
+    middle: Array = row_field(0.0)
+
+    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
+        return values * jnp.exp(-1j * (row.frequency - self.middle) * self.chosen(row))
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return -1j * (seen.frequency - np.asarray(self.middle))[:, None] * seen.values
+
+
 class LockInMemory(InstrumentTerm, LockInEffect):
     """The filter of the lock-in still shows the part s of the row before: V_n → V_n + s_k·(seen_{n−1} − V_n). Zero: it
     has settled. A filter with one time constant τ, read a dwell D after the step, has s = exp(−D/τ).
@@ -229,8 +251,8 @@ class LockInTime(InstrumentTerm, LockInEffect):
 
 TERMS: tuple[type[InstrumentTerm], ...] = (
     *(UnsettledRows, LockInTime, LockInMemory, ReferencePhase, LockInBackground, InterferingLine),
-    *(LockInFeedthrough, CapacitiveFeedthrough, DriveLevel, RecordGain, RecordTemperature, FrequencyOffset),
-    *(FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
+    *(LockInFeedthrough, CapacitiveFeedthrough, LateReadings, DriveLevel, RecordGain, RecordTemperature),
+    *(FrequencyOffset, FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
 )
 
 

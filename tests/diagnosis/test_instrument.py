@@ -193,6 +193,42 @@ def test_a_feedthrough_grows_with_the_frequency_where_the_sweeps_say_so(tmp_path
     assert beside_case_of(case, again).effects[0].label == label
 
 
+def late(case, delay):
+    """The same bench behind a converter that takes `delay` [s], which turns what leaks past the device as well."""
+    sweeps = (
+        replace(r, phasors=r.phasors * np.exp(-1j * (r.frequency - OMEGA) * delay)[:, None])
+        if r.kind == "frequency_sweep"
+        else r
+        for r in case.records
+    )
+    return replace(case, records=tuple(sweeps))
+
+
+@pytest.mark.parametrize("delay", [0.0, slow(0.012), 5e-3])
+def test_what_comes_late_as_a_whole_is_told(tmp_path, delay):
+    """Whole turns of the phase come before its slope shows, and what leaks past the device is late as well. A third and
+    four fifths of a period of the resonance; without it nothing is taken for it.
+    """
+    case = late(case_of(feedthrough=0.2j, phase=0.3), delay)
+    terms = [t for t in instrument_terms(case) if t.label in ("lock_in_feedthrough", "reference_phase")]
+    joint = Joint(model_of(case, starting_device(case)), readings_of(case))
+    search = start_search(case, joint, 0.05, (), lambda text: None)
+    found = beside_terms(_with_terms(search, terms), search, ())
+    labels = [found.joint.model.effects[place].label for place in found.given]
+    if not delay:
+        assert labels == ["reference_phase", "lock_in_feedthrough"]
+        return
+    assert labels == ["reference_phase", "lock_in_feedthrough", "late_readings"]
+    mine = found.joint.of_effect(found.given[-1])
+    std = found.optimum.std[np.isin(found.optimum.free, mine)]
+    assert np.all(np.abs(found.optimum.vector[mine] - delay) < 4 * std)
+    assert np.all(std < 0.1 * delay)
+    assert found.optimum.chi2 / found.optimum.dof < 1.7
+    again = read_model(write_model(found.joint.at(found.optimum.vector), tmp_path / "m.toml"))
+    (term,) = [effect for effect in beside_case_of(case, again).effects if effect.label == "late_readings"]
+    assert float(term.middle) == pytest.approx(OMEGA, rel=0.1)
+
+
 def test_a_model_that_was_found_explains_its_case_from_its_file(tmp_path):
     """With what the instrument does; beside a case with other rows it is refused."""
     case = case_of(phase=0.026)
