@@ -41,7 +41,6 @@ from memsgyro_jax.measurement.declared import QUANTITIES
 from memsgyro_jax.measurement.drive_levels import levels_apart
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
-from memsgyro_jax.measurement.experiments.free_decay import FreeDecayRecord
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.one_place import set_points
 
@@ -114,7 +113,7 @@ def _interference(case: Case, groups: "_Groups") -> list[InterferingLine]:
     told = [
         (number, line.omega)
         for number, record in enumerate(case.records)
-        if isinstance(record, FreeDecayRecord) and record.reference_frequency is not None
+        if np.iscomplexobj(record.readings)
         for line in record.interference(case)
         for _ in range(2 * case.channels)
     ]
@@ -127,9 +126,8 @@ def _interference(case: Case, groups: "_Groups") -> list[InterferingLine]:
 def of_lines(case: Case) -> str:
     """A sentence on the lines that stand in free decays; empty where none does."""
     told = [
-        f"in {record.name} {line.said(record.reference_frequency, case.readout.unit)}"
+        f"in {record.name} {line.said(getattr(record, 'reference_frequency', None), case.readout.unit)}"
         for record in case.records
-        if isinstance(record, FreeDecayRecord)
         for line in record.interference(case)
     ]
     return f" While the vibration dies out, there stands {'; '.join(told)}." if told else ""

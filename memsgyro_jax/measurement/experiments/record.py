@@ -19,6 +19,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from ..channel_noise import ToldNoise, told_by_channels
 from ..declared import Declared
 from ..section import ExperimentSection
+from ..standing_line import StandingLine
 from ..tracking import Track
 from .base import Experiment, Phasors, Readings
 from .deviation import Deviation, Known, Overlay, Series, Variable, View, by_setting, in_phase
@@ -185,6 +186,10 @@ class AbstractRecord(abc.ABC):
         left alone; by default none.
         """
         return None
+
+    def interference(self, declared: Declared) -> tuple[StandingLine, ...]:
+        """Lines that stand beside a vibration that dies out; by default none is looked for."""
+        return ()
 
     @property
     def offset(self) -> np.ndarray | None:
