@@ -144,7 +144,7 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
 def _late(case: Case) -> list[LateReadings]:
     """What comes late as a whole, of sweeps that show phasors."""
     groups = _Groups.of(case)
-    swept = [r.frequency for r in case.records if hasattr(r, "setting") and np.iscomplexobj(r.readings)]
+    swept = [r.frequencies for r in case.records if hasattr(r, "setting") and np.iscomplexobj(r.readings)]
     if not (swept and groups.swept):
         return []
     together = _together(groups.swept)
