@@ -15,6 +15,7 @@ from .phasor_fit import device_of_phasors
 
 _ALIKE = 1.01  # of the weakest drive: the same level
 _OFF = 2.0  # degrees of phase that are worth a sentence
+_SURE = 2.0  # times its tolerance, within which a scale may be
 _DIGITS = 12  # of a resonance, which records tell no better
 _NO_WIDTH = 1e10  # of a quality factor: a resonance between two rows, or none
 _FAR = 2.0  # half widths from the resonance, beyond which a bent peak counts for nothing
@@ -55,8 +56,24 @@ def beside_design(case: Case) -> tuple[str, ...]:
             continue
         beside = "as `[design]` has it" if seen == meant else f"the design {meant}"
         text = f"{key}: the records show {seen}, {beside}"
-        said.append(text + (", which lies outside its tolerance." if outside else "."))
+        agrees = _scale_that_agrees(case, value / design.value) if key == "static_gain" and outside else ""
+        said.append(text + (f", which lies outside its tolerance{agrees}." if outside else "."))
     return (*said, *_phases(_weakest(case, True), QUANTITIES[case.readout.order], omega, float(device.damping[0])))
+
+
+def _scale_that_agrees(case: Case, ratio: float) -> str:
+    """Which scale of the case, within what it is known to, would give a gain that is `ratio` times that of the design;
+    empty where none would.
+    """
+    drive, readout = case.drive, case.readout
+    of_drive = drive.tolerance if drive is not None and drive.scale is not None else 0.0
+    if abs(np.log(ratio)) > _SURE * np.hypot(of_drive, readout.tolerance):
+        return ""
+    if drive is not None and drive.scale is not None and of_drive >= readout.tolerance:
+        right = f"a drive of {drive.scale * ratio:.4g} N/{drive.unit}"
+    else:
+        right = f"a read-out of {readout.scale * ratio:.4g} {readout.unit}/{case.words.displacement}"
+    return f": {right}, within its tolerance, would agree with it, and what is told in newtons is by the scales that are written"
 
 
 def _of_import(case: Case, key: str) -> bool:

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from measurement.case.bench import NOISE, write_bench
 from scipy import signal, stats
 
 import memsgyro_jax
-from memsgyro_jax.measurement.beside_design import _number, beside_design
+from memsgyro_jax.measurement.beside_design import _number, _scale_that_agrees, beside_design
 from memsgyro_jax.measurement.case import assess, load_case
+from memsgyro_jax.measurement.declared import Drive
 from memsgyro_jax.measurement.import_case import import_case
 from memsgyro_jax.measurement.least_squares import gate
 from memsgyro_jax.measurement.noise import (
@@ -411,3 +413,20 @@ def test_numbers_that_import_wrote_are_no_design(tmp_path):
              for one in lines]  # fmt: skip
     toml.write_text("\n".join(lines) + "\n")
     assert "design" in beside_design(load_case(tmp_path / "case"))[0]
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [
+        (0.5, "lies outside its tolerance: a drive of 1.13e-07 N/V, within its tolerance, would agree"),
+        (0.02, "lies outside its tolerance."),
+    ],
+)
+def test_a_scale_that_would_agree_with_the_mass_is_named(tolerance, words):
+    """The right mass was accused, and a strength in newtons told 13 % off, where the drive was known to half of it."""
+    case = SimpleNamespace(
+        drive=Drive("V", 1e-7, tolerance),
+        readout=SimpleNamespace(tolerance=0.03, scale=1e5, unit="V"),
+        words=SimpleNamespace(displacement="m"),
+    )
+    assert f"lies outside its tolerance{_scale_that_agrees(case, 1.13)}.".startswith(words)
