@@ -73,7 +73,7 @@ def _scale_that_agrees(case: Case, ratio: float) -> str:
         right = f"a drive of {drive.scale * ratio:.4g} N/{drive.unit}"
     else:
         right = f"a read-out of {readout.scale * ratio:.4g} {readout.unit}/{case.words.displacement}"
-    return f": {right}, within its tolerance, would agree with it, and what is told in newtons is by the scales that are written"
+    return f": {right}, within its tolerance, would agree with it; what is told in newtons is by the scales as written"
 
 
 def _of_import(case: Case, key: str) -> bool:
