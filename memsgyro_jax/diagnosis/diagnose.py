@@ -96,11 +96,11 @@ def diagnose(
         tell(f"records contradict each other: {contradiction}")
     outcome, loose = _diagnosed(model, case, effects, level, thorough, tell, keep)
     if loose:
-        tell(f"again with {listed(loose)} fitted too: what the others hold does not tell what it shows")
+        tell(f"again with {listed(loose)} fitted too, which what the others hold does not tell")
         whole = with_these_fitted(case, loose)
         again, _ = _diagnosed(model, whole, effects, level, thorough, tell, keep)
         if again.verdict not in UNEXPLAINED:
-            said = f" {listed(loose)} is fitted as well: what the other records hold does not tell what it shows."
+            said = f" Fitted as well: {listed(loose)}, as what the other records hold does not tell what is seen there."
             case, outcome = whole, replace(again, sentence=again.sentence + said)
     for _ in range(LESS):
         if outcome.verdict in UNEXPLAINED or not (less := less_noise(outcome.final)):

@@ -54,7 +54,7 @@ def identifiable(case: Case) -> tuple[Identifiable, ...]:
     joint = Joint(model_of(case, starting_device(case)), readings_of(case))
     names = np.array([p.name for p in joint.parameters])
     units, blocks, moved, near = np.eye(joint.start.size), {}, _elsewhere(case), _near(case, joint)
-    constant = np.array([name.startswith("offset") for name in names])
+    constant = np.array([p.is_offset for p in joint.parameters])
     shown: dict[int, np.ndarray] = {}
     for readings in joint.fitted:
         here = joint.linearise(near, units, [readings])[1]

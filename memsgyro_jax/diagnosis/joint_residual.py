@@ -83,8 +83,8 @@ class Joint:
         constant voltage of each channel where none is read.
         """
         driven, constant = (any(getattr(r.experiment, of) for r in self.fitted) for of in ("driven", "reads_constants"))
-        told = {"1/m": driven, "offset": constant, "offset x": constant, "offset y": constant}
-        return frozenset(i for i, p in enumerate(self.parameters) if p.effect is None and not told.get(p.name, True))
+        untold = [(p.name == "1/m" and not driven) or (p.is_offset and not constant) for p in self.parameters]
+        return frozenset(np.flatnonzero(untold).tolist())
 
     def of_effect(self, effect: int) -> np.ndarray:
         """Places of the strength of one effect."""

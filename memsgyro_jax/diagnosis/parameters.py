@@ -28,6 +28,14 @@ class Parameter:
     low: float = -np.inf
     high: float = np.inf
 
+    @property
+    def is_offset(self) -> bool:
+        """Whether it is the constant voltage of a channel."""
+        return self.effect is None and self.name.startswith(_OFFSET)
+
+
+_OFFSET = "offset"
+
 
 def parameters(model: Model) -> tuple[Parameter, ...]:
     """The parameters in the order of the vector."""
@@ -36,7 +44,7 @@ def parameters(model: Model) -> tuple[Parameter, ...]:
     base = [Parameter(f"k{pair}/m", "rad²/s²", low=least) for pair, least in zip(pairs, low, strict=True)]
     base += [Parameter(f"d{pair}/m", "1/s", low=least) for pair, least in zip(pairs, low, strict=True)]
     base += [Parameter("1/m", "1/kg", low=-np.inf if model.axes == 1 else 0.0)]  # a channel may be turned round
-    base += [Parameter(f"offset {a}".strip(), "V") for a in ("x", "y")[: model.axes]]
+    base += [Parameter(f"{_OFFSET} {a}", "V") for a in ("x", "y")[: model.axes]]
     others = []
     for place, effect in enumerate(model.effects):
         for number in free_numbers(effect):

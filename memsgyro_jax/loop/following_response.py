@@ -1,5 +1,5 @@
 """How a Kalman filter follows a small sine of the rate: sample by sample by what it expects to walk and the variance it
-claims, in blocks by what the loop itself makes of a ramp.
+claims, in blocks by what the loop itself makes of one.
 """
 
 from collections.abc import Callable

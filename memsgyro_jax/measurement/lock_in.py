@@ -1,6 +1,8 @@
 """What a lock-in makes of the phasors that a bench would show: the effects of the instrument, row by row."""
 
 import dataclasses
+from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -58,13 +60,8 @@ def with_interference(bench: Model, shown: Complex[Array, "n axes"], now: Condit
     if not effects:
         return shown
 
-    def one(values: Array, row: LockInRow) -> Array:
-        for effect in effects:
-            values = effect.phasors(values, row)
-        return values
-
     still = jnp.zeros_like(shown)
-    return jax.vmap(one)(shown, _rows(jnp.zeros(()), still, still, now, None))
+    return jax.vmap(partial(_acted, effects))(shown, _rows(jnp.zeros(()), still, still, now, None))
 
 
 def before_lock_in(
@@ -81,16 +78,20 @@ def before_lock_in(
     if not effects:
         return phasors
 
-    def given(values: Array, row: LockInRow) -> Array:
-        for effect in effects:
-            values = effect.phasors(values, row)
-        return values
+    given = partial(_acted, effects)
 
     def one(values: Array, row: LockInRow) -> Array:
         shift = given(jnp.zeros_like(values), row)
         return (values - shift) / (given(jnp.ones_like(values), row) - shift)
 
     return jax.vmap(one)(phasors, _rows(frequency, force, phasors, conditions, None))
+
+
+def _acted(effects: Sequence[LockInEffect], values: Array, row: LockInRow) -> Array:
+    """What effects make of the phasors of a row, one after the other."""
+    for effect in effects:
+        values = effect.phasors(values, row)
+    return values
 
 
 def _rows(

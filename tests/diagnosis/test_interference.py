@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from phasor_decay import CASE, RECORD
 
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.fit import fit_case
@@ -11,24 +12,6 @@ from memsgyro_jax.effects.lock_in_terms import InterferingLine
 from memsgyro_jax.measurement.case import load_case
 
 
-CASE = """
-schema = "memsgyro-case/1"
-name = "decay"
-device = "resonator"
-[design]
-resonance = { value = 14000, unit = "Hz", tolerance = 0.05 }
-quality_factor = { low = 300, high = 20000, unit = "1" }
-[readout]
-quantity = "displacement"
-"""
-RECORD = """
-[[experiment]]
-name = "{name}"
-kind = "free_decay"
-file = "{name}.csv"
-role = "fit"
-reference_frequency = {{ value = 13990, unit = "Hz" }}
-"""
 NOISE, SIZE = 1e-4, 1e-3
 
 

@@ -9,6 +9,7 @@ from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden
 from lab.strengths import visible
 from numpy.testing import assert_allclose
+from phasor_decay import CASE, RECORD
 
 from memsgyro_jax.diagnosis import scans as scans_room
 from memsgyro_jax.diagnosis.fit import fit_case
@@ -99,24 +100,6 @@ def test_what_a_mode_adds_to_a_sweep_is_the_derivative_of_the_receptance():
         assert_allclose(column.reshape(-1, 2) @ [1.0, 1j], moved, rtol=1e-6, atol=1e-9 * np.abs(moved).max())
 
 
-DECAY = """
-schema = "memsgyro-case/1"
-name = "decay"
-device = "resonator"
-[design]
-resonance = { value = 14000, unit = "Hz", tolerance = 0.05 }
-quality_factor = { low = 300, high = 20000, unit = "1" }
-[readout]
-quantity = "displacement"
-[[experiment]]
-name = "decay"
-kind = "free_decay"
-file = "decay.csv"
-role = "fit"
-reference_frequency = { value = 13990, unit = "Hz" }
-"""
-
-
 def test_a_mode_is_looked_for_in_a_decay_of_phasors_by_a_program_that_carries_it(tmp_path):
     """Its rows go on from one to the next: to take each for settled ended in a shape that did not fit, and of two
     channels would have fitted by chance.
@@ -126,7 +109,7 @@ def test_a_mode_is_looked_for_in_a_decay_of_phasors_by_a_program_that_carries_it
     parts = (0.3 * np.exp((2j * np.pi * 10.0 - 8.0) * time)).view(float).reshape(-1, 2) + noise
     table, header = np.column_stack([time, parts]), "t [s],Vx_I [V],Vx_Q [V]"
     np.savetxt(tmp_path / "decay.csv", table, "%.9g", ",", header=header, comments="")
-    (tmp_path / "case.toml").write_text(DECAY)
+    (tmp_path / "case.toml").write_text(CASE + RECORD.format(name="decay"))
     fit = fit_case(load_case(tmp_path))
     (chosen,) = fit.joint.fitted
     grid = [ParasiticMode(0, 0.0, omega=2 * np.pi * hertz, quality=100.0) for hertz in (13800.0, 14000.0)]

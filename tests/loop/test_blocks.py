@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from sine_response import told_and_seen
 
 import memsgyro_jax as mg
 from memsgyro_jax.loop.blocks import basis, reading
@@ -162,14 +163,8 @@ def test_a_trace_tells_how_the_rate_is_followed(blocks):
         GYRO, READOUT, annealing=mg.Annealing(), known=known, process_noise=noise
     )
     loop = replace(LOOP, observer=observer, blocks=blocks)
-    settings = {"sample_rate": 100e3, "duration": 0.4, "seed": 1, "decimation": blocks.length if blocks else 50}
     for frequency in (1.0, 10.0, 30.0):
-        moving, still = (mg.simulate(loop, mg.Sine(size, frequency), **settings) for size in (0.3, 0.0))
-        late = np.asarray(still.time) > 0.2
-        phase = 2.0 * np.pi * frequency * np.asarray(still.time)[late]
-        added = np.asarray(moving.rate_estimate - still.rate_estimate)[late] / 0.3
-        parts = np.linalg.lstsq(np.stack([np.sin(phase), np.cos(phase)], axis=1), added, rcond=None)[0]
-        told, seen = complex(still.rate_response(frequency)), complex(*parts)
+        told, seen = told_and_seen(loop, frequency)
         assert abs(told) == pytest.approx(abs(seen), abs=0.02)
         lag = np.angle(told / seen) / (2.0 * np.pi * frequency)
         assert abs(lag) < 0.5e-3, "of 2.5 to 10.9 ms"

@@ -25,6 +25,11 @@ def over_lanes(entries: Iterable[Any], lanes: tuple[int, ...]) -> Array:
     return jnp.broadcast_to(jnp.asarray(entries, float), lanes)
 
 
+def matrix_over_lanes(matrix: Array, lanes: tuple[int, ...]) -> Float[Array, "rows columns lanes"]:
+    """A matrix, of one or of many dies, repeated for all."""
+    return jnp.broadcast_to(matrix.reshape(*matrix.shape[:2], -1), (*matrix.shape[:2], *lanes))
+
+
 def multiplied(
     a: Float[Array, "... inner lanes"], b: Float[Array, "inner ... lanes"], looped: bool = False
 ) -> Float[Array, "... lanes"]:

@@ -33,7 +33,7 @@ from memsgyro_jax.device.gyro import Dynamics
 from ..loop import ClosedLoop
 from ..observers.base import AbstractBlockObserver
 from . import basis
-from .algebra import multiplied, over_lanes
+from .algebra import matrix_over_lanes, multiplied, over_lanes
 from .basis import Sums, Turn
 from .law import Groups, Lanes, law_of, pulsations, rows_of_readout
 
@@ -255,7 +255,7 @@ def _moving(
     if moves is None:
         return turned, lambda passed, later: later
     begin = 2 if observer.with_offsets else 0
-    by = jnp.broadcast_to(moves.reshape(*moves.shape[:2], -1), (*moves.shape[:2], *lanes))[begin:, begin:]
+    by = matrix_over_lanes(moves, lanes)[begin:, begin:]
     more = jnp.zeros((4, len(by) - turned.shape[1], *turned.shape[2:]))
     moved = as_moved_by(by, period)
     return moved(jnp.zeros(()), jnp.concatenate([turned, more], axis=1)), moved

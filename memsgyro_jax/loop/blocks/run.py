@@ -23,7 +23,7 @@ from ..readout import AbstractLinearReadout
 from ..scenario import Constant, Scenario
 from . import basis
 from .advance import Facts, advanced
-from .algebra import over_lanes
+from .algebra import matrix_over_lanes, over_lanes
 from .law import Lanes, same_frequency, strikes_modes, tones_of
 from .length import ONE_MASS, TWO_MASSES, Pace, lengths, renewals
 from .maps import Maps, maps_of
@@ -292,9 +292,7 @@ class BlockCourse(eqx.Module):
     def _moves(self, elapsed: Scalar) -> Array | None:
         """What the constants of the filter move by in a block, for a unit of each."""
         moves = self.observer.moves()
-        if moves is None:
-            return None
-        return jnp.broadcast_to(moves.reshape(*moves.shape[:2], -1), (*moves.shape[:2], *self.lanes)) * elapsed
+        return None if moves is None else matrix_over_lanes(moves, self.lanes) * elapsed
 
     def _ended(self, state: LoopState, span: Span) -> tuple[LoopState, Sample]:
         loop, period, count = self.loop, self.period, span.before + span.length
