@@ -36,6 +36,7 @@ from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
+from .lock_in_filter import behind_filter
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
 from .nuisances import instrument_first, of_instrument
@@ -140,6 +141,8 @@ def _diagnosed(
 
     def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
         first = search.rank()
+        if (behind := behind_filter(search, first)) is not search:
+            search, first = behind, behind.rank()
         plain = search.base, listed_candidates(case, search.joint.model, first, powers=done(search)), ""
         if is_slow_noise(search, first):
             yield search, first, "", plain

@@ -30,6 +30,7 @@ from memsgyro_jax.effects.lock_in_terms import (
     LateReadings,
     LockInBackground,
     LockInFeedthrough,
+    LockInFilter,
     LockInMemory,
     LockInTime,
     PhaseDrift,
@@ -138,7 +139,7 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
     tried = instrument_terms(case)
     twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
     warm = undeclared_temperature(case)
-    return (*tried, *twin, *_late(case), *declared_terms(case), *([] if warm is None else [warm]))
+    return (*tried, *twin, *_late(case), *filters_of(case), *declared_terms(case), *([] if warm is None else [warm]))
 
 
 def _late(case: Case) -> list[LateReadings]:
@@ -149,6 +150,14 @@ def _late(case: Case) -> list[LateReadings]:
         return []
     together = _together(groups.swept)
     return [LateReadings(np.zeros(1), groups.table(together), np.median(np.concatenate(swept)))]
+
+
+def filters_of(case: Case) -> list[LockInFilter]:
+    """The filter of the lock-in behind sweeps with a clock; none where there is none."""
+    clocked = _together(_Groups.of(case).clocked_sweeps)
+    if not clocked:
+        return []
+    return [LockInFilter(np.zeros(2), np.repeat(_Groups.of(case).table(clocked), 2, axis=2))]
 
 
 def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:
@@ -293,6 +302,11 @@ class _Groups:
         order = np.argsort(begin)
         follow = np.all(begin[order][1:] >= (begin + span)[order][:-1])
         return _together(self.clocked) if len(timed) > 1 and follow else []
+
+    @property
+    def clocked_sweeps(self) -> list[set[Place]]:
+        """Of the records with a clock, those of a sweep."""
+        return [group for group in self.clocked if group in self.swept]
 
     @property
     def whole(self) -> dict[str, np.ndarray]:

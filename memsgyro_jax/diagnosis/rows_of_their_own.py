@@ -57,7 +57,8 @@ def _taking(model: Model, readings: Readings) -> np.ndarray:
     """(q, n) which rows each parameter of a model may move: of numbers by row those that take them."""
     count = readings.experiment.measured.shape[0]
     out = np.ones((len(every := parameters(model)), count), bool)
-    labels = readings.experiment.labels
+    remembers = any(getattr(effect, "remembers", False) for effect in model.effects)
+    labels = None if remembers else readings.experiment.labels
     for place, effect in enumerate(model.effects):
         if by_row(effect):
             mine = [i for i, p in enumerate(every) if p.effect == place and p.field == "strength"]

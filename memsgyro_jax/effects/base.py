@@ -260,6 +260,8 @@ class LockInRow(eqx.Module):
         dwell: time since the row before [s], zero where none is known.
         decay: matrix B [1/s] by which what differs from the settled motion of the row dies away, e^{−Bt}.
         left: e^{−Bt} after the dwell; it and B are zero where no dwell is known.
+        earlier: (k, axes) phasors that the device showed in the rows before, the last of them first [V], and
+        ages: (k,) the times since those were read [s], infinite where there was none; of effects that `remember` rows.
     """
 
     frequency: Array
@@ -271,16 +273,19 @@ class LockInRow(eqx.Module):
     dwell: Array
     decay: Complex[Array, "axes axes"]
     left: Complex[Array, "axes axes"]
+    earlier: Complex[Array, "k axes"]
+    ages: Float[Array, " k"]
 
 
 class LockInEffect(Effect):
     """Acts on the phasors that a lock-in makes of the voltages of a sweep; a `last` one behind all others. One that
-    `rings` asks what is left of the motion of the row before; one `beside_any_motion` adds the same to whatever moves,
-    and does so in a free decay, too.
+    `rings` asks what is left of the motion of the row before; one that `remembers` asks what rows further back showed;
+    one `beside_any_motion` adds the same to whatever moves, and does so in a free decay, too.
     """
 
     last: ClassVar[bool] = False
     rings: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
     beside_any_motion: ClassVar[bool] = False
 
     @abc.abstractmethod

@@ -93,6 +93,11 @@ class InstrumentTerm(Effect):
         table = self.entry[jnp.asarray(now.record, int), jnp.asarray(now.sweep, int)]
         return table @ self.strength
 
+    @classmethod
+    def in_words(cls, numbers: np.ndarray) -> str:
+        """What its numbers mean beside their unit, for people; empty by default, degrees of a single angle."""
+        return f"{np.degrees(numbers[0]):.4g}°" if cls.turns and len(numbers) == 1 else ""
+
     @abc.abstractmethod
     def moved(self, seen: SeenRows) -> np.ndarray:
         """(n, axes) how rows of a linear device move with the number that they take."""

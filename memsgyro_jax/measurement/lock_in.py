@@ -3,16 +3,29 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Array, Complex, Float, Int
 
 from memsgyro_jax.base.linalg import exponential, inverse
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, LockInRow
 
 from .model import Model
+
+
+class RowsBefore(NamedTuple):
+    """Which rows of a sweep lie before each.
+
+    Args:
+        rows: (n, k) their places, the last of them first.
+        ages: (n, k) times since each was read [s], infinite where there was none, or no clock.
+    """
+
+    rows: Int[Array, "n k"]
+    ages: Float[Array, "n k"]
 
 
 def through_lock_in(
@@ -24,34 +37,37 @@ def through_lock_in(
     conditions: Conditions,
     dwell: Float[Array, " n"] | None = None,
     unsettled: Float[Array, " n"] | None = None,
+    rows_before: RowsBefore | None = None,
 ) -> Complex[Array, "n axes"]:
     """Phasors [V] as the lock-in gives them; `frequency`, `force` and `conditions` may hold for all rows.
 
     Args:
         dwell: time since the row before [s], infinite where none is known; `None` where it is known of no row.
         unsettled: one for rows that were read before they had settled, zero for the others; `None` where all had.
+        rows_before: each row; `None` where they stand alone, and effects that remember have nothing to remember.
     """
     effects = [effect for effect in bench.effects if isinstance(effect, LockInEffect)]
     clocked = dwell is not None and (unsettled is not None or any(effect.rings for effect in effects))
     if not effects and not clocked:
         return phasors
 
-    def one(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> Array:
+    first, last = ([effect for effect in effects if effect.last is last] for last in (False, True))
+
+    def shown(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> tuple[Array, LockInRow]:
         if clocked:
             known = jnp.isfinite(row.dwell)
             decay, dwell = ring_down_matrix(bench, row.frequency, conditions) * known, jnp.where(known, row.dwell, 0.0)
             left = (jnp.exp if bench.axes == 1 else exponential)(-decay * dwell) * known
             row = dataclasses.replace(row, dwell=dwell, decay=decay, left=left)
-        for effect in effects:
-            values = values if effect.last else effect.phasors(values, row)
-        values = values + apart * (row.left @ (row.before - values)) if clocked else values
-        for effect in effects:
-            values = effect.phasors(values, row) if effect.last else values
-        return values
+        values = _acted(first, values, row)
+        return values + apart * (row.left @ (row.before - values)) if clocked else values, row
 
     rows = _rows(frequency, force, before, conditions, dwell)
     apart = jnp.zeros(len(phasors)) if unsettled is None else unsettled
-    return jax.vmap(one)(phasors, conditions.rows(len(phasors)), apart, rows)
+    values, rows = jax.vmap(shown)(phasors, conditions.rows(len(phasors)), apart, rows)
+    if rows_before is not None and any(effect.remembers for effect in last):
+        rows = dataclasses.replace(rows, earlier=values[rows_before.rows], ages=rows_before.ages)
+    return jax.vmap(partial(_acted, last))(values, rows)
 
 
 def with_interference(bench: Model, shown: Complex[Array, "n axes"], now: Conditions) -> Complex[Array, "n axes"]:
@@ -109,6 +125,8 @@ def _rows(
         dwell=jnp.zeros(count) if dwell is None else dwell,
         decay=jnp.zeros((count, axes, axes), complex),
         left=jnp.zeros((count, axes, axes), complex),
+        earlier=jnp.zeros((count, 0, axes), complex),
+        ages=jnp.zeros((count, 0)),
     )
 
 

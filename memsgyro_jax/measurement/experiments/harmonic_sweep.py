@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from memsgyro_jax.base.few_at_a_time import over_rows
 from memsgyro_jax.base.kept import kept
@@ -19,7 +19,7 @@ from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
 from ..first_order import Contribution, Inquiry, Periods
-from ..lock_in import before_lock_in, through_lock_in
+from ..lock_in import RowsBefore, before_lock_in, through_lock_in
 from ..model import Model
 from ..steady import (
     FINENESS,
@@ -62,6 +62,8 @@ class HarmonicSweep(Experiment):
         dwell: (n,) time since the row before [s], infinite where it is unknown; `None` for all.
         unsettled: (n,) one where a row was read before it had settled: it begins where the row before ended and rings
             down to its own motion, as its mode does; zero elsewhere; `None` for all.
+        rows_before: which rows lie before each, where these are all of their sweeps; `None` where they are not.
+        every, place: all rows of the sweeps, and where among them these are (n,); `None` where these are all.
         fineness: of the harmonic balance; `finer` is the next.
     """
 
@@ -79,6 +81,9 @@ class HarmonicSweep(Experiment):
     before: Complex[Array, "n axes"] | None = None
     dwell: Float[Array, " n"] | None = None
     unsettled: Float[Array, " n"] | None = None
+    rows_before: RowsBefore | None = None
+    every: "HarmonicSweep | None" = None
+    place: Int[Array, " n"] | None = None
     fineness: Fineness = eqx.field(static=True, default=FINENESS[0])
 
     def predict(self, bench: Model) -> Complex[Array, "n axes"]:
@@ -99,13 +104,16 @@ class HarmonicSweep(Experiment):
     def nothing(self, bench: Model) -> Contribution | None:
         swept = any(isinstance(effect, SweepEffect) for effect in bench.effects)
         rings = any(isinstance(effect, LockInEffect) and effect.rings for effect in bench.effects)
-        if swept or (self.dwell is not None and (rings or self.unsettled is not None)):
-            return None  # what a row leaves to the next depends on the linear part, which absent effects change
+        if swept or _remembers(bench) or (self.dwell is not None and (rings or self.unsettled is not None)):
+            return None  # what a row leaves to the next depends on what absent effects change
         rows, axes = self.measured.shape
         return Contribution.none(bench, ((rows, self.fineness.harmonics + 1, axes),), (rows, axes), complex)
 
     def _predicted(self, bench: Model, added: Contribution | None) -> tuple[Complex[Array, "n axes"], Array]:
         """Phasors of all channels, and the settled states."""
+        if self.every is not None and self.place is not None and _remembers(bench):
+            whole = dataclasses.replace(self.every, fineness=self.fineness)
+            return jax.tree.map(lambda part: part[self.place], whole._predicted(bench, None))
         speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
         speeds += [] if added is None else [added.speed]
 
@@ -123,8 +131,9 @@ class HarmonicSweep(Experiment):
         settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
         seen = through_lock_in(
-            bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled
-        )
+            bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled,
+            self.rows_before,
+        )  # fmt: skip
         return seen, states
 
     def _shown(self, bench: Model) -> Complex[Array, "n axes"]:
@@ -151,6 +160,9 @@ class HarmonicSweep(Experiment):
         """All rows again: as they were, the first drive after the last, over other bands, at the ends of what was
         varied, on the other axis, at other drives.
         """
+        if self.every is not None or self.rows_before is not None:  # planned rows wait until all has settled
+            yield from dataclasses.replace(self, rows_before=None, every=None, place=None).proposals(name)
+            return
         around, held = self.surroundings, bool(np.ptp(np.asarray(self.frequency)) == 0.0)
         again = f"repeat `{name}`" if held else "repeat the frequency sweeps"
         yield again, self
@@ -251,6 +263,11 @@ class HarmonicSweep(Experiment):
             parts.append(jax.tree.map(np.asarray, asked))
         motion, force, gain = (np.concatenate(part)[: rows.size] for part in zip(*parts, strict=True))
         return motion, force, gain
+
+
+def _remembers(bench: Model) -> bool:
+    """Whether rows further back enter what is read."""
+    return any(isinstance(effect, LockInEffect) and effect.remembers for effect in bench.effects)
 
 
 def _missing_of(

@@ -1,6 +1,7 @@
 """Rows of frequency sweeps laid together as experiments."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,8 +10,12 @@ import numpy as np
 from memsgyro_jax.device.conditions import Conditions
 
 from ..declared import Declared
+from ..lock_in import RowsBefore
 from .base import AmplitudeNoise, CartesianNoise, Readings
 from .harmonic_sweep import HarmonicSweep
+
+
+REMEMBERED = 24  # rows back that the filter of a lock-in may still show: four poles of two dwells each, to a thousandth
 
 
 def halves(declared: Declared, records: Sequence[tuple[int, Any]]) -> list[Readings]:
@@ -23,6 +28,7 @@ def halves(declared: Declared, records: Sequence[tuple[int, Any]]) -> list[Readi
                              for _, r in records])  # fmt: skip
     groups = [np.flatnonzero(chosen), np.flatnonzero(~chosen)]
     size = max(map(len, groups))
+    every = joined_rows(declared, records, np.arange(row.size), np.ones(row.size, bool))
     out = []
     for rows, fitted in zip(groups, (True, False), strict=True):
         if rows.size:
@@ -30,6 +36,8 @@ def halves(declared: Declared, records: Sequence[tuple[int, Any]]) -> list[Readi
             real = np.arange(size) < rows.size
             real &= ~np.concatenate([_begins_unknown(r) for _, r in records])[padded]
             experiment = joined_rows(declared, records, padded, real)
+            if every.rows_before is not None:
+                experiment = replace(experiment, rows_before=None, every=every, place=jnp.asarray(padded))
             out.append(Readings(experiment, np.where(real, record[padded], -1), row[padded], fitted))
     return out
 
@@ -43,6 +51,8 @@ def joined_rows(
         return np.concatenate([np.asarray(values(number, r)) for number, r in records])[rows]
 
     measured = joined(lambda _, r: r.readings)
+    count = sum(r.rows for _, r in records)
+    follow = len(rows) == count and np.array_equal(rows, np.arange(count))
     clocked = any(r.time is not None and r.phase_known for _, r in records)
     noise = joined(lambda _, r: r.noise_of_rows)
     return HarmonicSweep(
@@ -66,7 +76,22 @@ def joined_rows(
         unsettled=jnp.asarray(joined(lambda _, r: np.full(r.rows, float(not r.settled))))
         if clocked and not all(r.settled for _, r in records)
         else None,
+        rows_before=_rows_before([r for _, r in records]) if clocked and follow else None,
     )
+
+
+def _rows_before(records: Sequence[Any]) -> RowsBefore:
+    """Of each row of records one after the other; a record knows no row of another, and nothing without a clock."""
+    rows, ages, first = [], [], 0
+    for record in records:
+        here = np.arange(record.rows)[:, None] - np.arange(1, REMEMBERED + 1)
+        before = np.maximum(here, 0)
+        known = (here >= 0) & (record.time is not None)
+        since = np.zeros(here.shape) if record.time is None else record.time[:, None] - record.time[before]
+        rows.append(first + before)
+        ages.append(np.where(known, since, np.inf))
+        first += record.rows
+    return RowsBefore(jnp.asarray(np.concatenate(rows)), jnp.asarray(np.concatenate(ages)))
 
 
 def _dwell(record: Any) -> np.ndarray:

@@ -1,0 +1,126 @@
+"""The filter of a lock-in, of one or more poles, which still shows rows further back."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bench_case import ONE_AXIS, RESONATOR, bench
+from lab.die import Hidden
+from lab.faults import Faults
+from scipy.linalg import expm
+
+from memsgyro_jax.diagnosis.diagnose import diagnose
+from memsgyro_jax.diagnosis.instrument import filters_of
+from memsgyro_jax.diagnosis.joint_residual import Joint
+from memsgyro_jax.diagnosis.lock_in_filter import behind_filter
+from memsgyro_jax.diagnosis.search import start_search
+from memsgyro_jax.effects.lock_in_terms import LockInFilter, passed
+from memsgyro_jax.measurement.linear_start import starting_device
+from memsgyro_jax.measurement.readings import model_of, readings_of
+
+
+DWELL = 5.0  # s from row to row
+
+
+def case_of(seed=0, hidden=None, **faults):
+    protocol = replace(ONE_AXIS, faults=Faults(dwell=DWELL, **faults))
+    return bench(hidden or Hidden(), protocol=protocol, die=RESONATOR, seed=seed).case
+
+
+def searched(case):
+    joint = Joint(model_of(case, starting_device(case)), readings_of(case))
+    return start_search(case, joint, 0.05, (), lambda text: None)
+
+
+def chain(poles, tau):
+    """x' = A·x of equal poles one behind the other, that begin at one and relax to zero."""
+    return (np.diag(np.ones(poles - 1), -1) - np.eye(poles)) / tau
+
+
+def through(poles, tau, settled, dwell):
+    """Rows (n,) behind poles that had settled at the first, by the exponential of their equations."""
+    at, out = np.full(poles, settled[0], complex), []
+    for value, time in zip(settled, dwell, strict=True):
+        at = value + expm(chain(poles, tau) * time) @ (at - value)
+        out.append(at[-1])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("poles", [1, 2, 4, 8])
+def test_a_step_passes_as_through_poles_one_behind_the_other(poles):
+    tau, ages = 0.3, np.array([0.01, 0.1, 0.5, 1.0, 3.0, np.inf])
+    left = [expm(chain(poles, tau) * age).sum(axis=1)[-1] for age in ages[:-1]]
+    shown = passed(jnp.asarray(poles * tau), jnp.asarray((poles - 1) * tau), jnp.asarray(ages))
+    np.testing.assert_allclose(shown, [*(1.0 - np.array(left)), 1.0], atol=1e-12)
+
+
+def test_no_lag_shows_all_at_once_and_any_has_a_slope():
+    ages = jnp.array([0.1, 1.0, jnp.inf])
+    np.testing.assert_array_equal(passed(jnp.zeros(()), jnp.zeros(()), ages), 1.0)
+    at = jnp.array([0.9, 0.6])
+    slope = jax.jacfwd(lambda s: passed(s[0], s[1], ages))(at)
+    for k, step in enumerate(1e-6 * np.eye(2)):
+        ahead, back = (passed(*(at + sign * step), ages) for sign in (1.0, -1.0))
+        np.testing.assert_allclose(slope[:, k], (ahead - back) / 2e-6, atol=1e-7)
+
+
+def test_rows_that_are_fitted_know_of_those_that_are_not():
+    """Every second row is fitted, and each is what a filter makes of all rows before it, at uneven times."""
+    case = case_of()
+    records = []
+    for record in case.records:
+        if record.kind == "frequency_sweep":
+            wait = DWELL * (1.0 + 0.3 * np.sin(np.arange(record.rows)))
+            record = replace(record, time=np.cumsum(wait))
+        records.append(record)
+    case = replace(case, records=tuple(records))
+    device, (term,) = model_of(case, starting_device(case)), filters_of(case)
+    tau, poles = 0.7 * DWELL, 3
+    filtered = device.with_effect(LockInFilter(jnp.array([poles * tau, (poles - 1) * tau]), term.entry))
+    compared = 0
+    for readings in readings_of(case):
+        experiment = readings.experiment
+        if getattr(experiment, "every", None) is None:
+            continue
+        settled, seen = (np.asarray(experiment.every.predict(model))[:, 0] for model in (device, filtered))
+        mine = np.asarray(experiment.predict(filtered))[:, 0]
+        np.testing.assert_allclose(mine, seen[np.asarray(experiment.place)], rtol=1e-12)
+        first = 0
+        for record in (r for r in case.records if r.kind == "frequency_sweep"):
+            rows = slice(first, first + record.rows)
+            waited = np.diff(record.time, prepend=-np.inf)
+            waited[0] = 1e3 * DWELL
+            expected = through(poles, tau, settled[rows], waited)
+            np.testing.assert_allclose(seen[rows], expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+            first, compared = first + record.rows, compared + record.rows
+    assert compared > 100
+
+
+@pytest.mark.parametrize(("poles", "tau"), [(1, 0.5 * DWELL), (4, 0.3 * DWELL)])
+def test_a_filter_is_found_with_its_lag(poles, tau):
+    search = searched(case_of(filter_time=tau, filter_order=poles))
+    found = behind_filter(search, search.rank())
+    assert [found.joint.model.effects[i].label for i in found.given] == ["lock_in_filter"]
+    assert found.optimum.chi2 / found.optimum.dof < 1.7  # that of the case without a fault is 1.49
+    lag = poles * tau - (0 if poles == 1 else poles * DWELL / 400)  # the bench's stages take steps of a 200th
+    mine = found.joint.of_effect(0)
+    std = found.optimum.std[np.isin(found.optimum.free, mine)]
+    assert abs(found.optimum.vector[mine][0] - lag) < 4 * std[0]
+    assert "poles" in LockInFilter.in_words(np.array([2.0, 1.5])) or poles == 1
+
+
+def test_a_settled_bench_has_no_filter():
+    search = searched(case_of(phase=0.026))
+    assert behind_filter(search, search.rank()) is search
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiff", [0.0, 1.0])
+def test_a_filter_of_four_poles_is_the_instruments_and_a_spring_beside_it_the_devices(stiff):
+    found = diagnose(None, case_of(hidden=Hidden(cubic_stiffness_x=stiff), filter_time=0.4 * DWELL, filter_order=4))
+    assert [term.label for term in found.instrument] == ["lock_in_filter"]
+    assert [a.label for a in found.accepted] == (["cubic_stiffness x"] if stiff else [])
+    assert found.verdict == ("found" if stiff else "instrument_only")
+    assert "poles of" in found.sentence
