@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from memsgyro_jax.effects.section import settings_of
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 
 from .findings import Accepted
@@ -50,9 +51,13 @@ def accepted_of(
 
 
 def _numbers(search: Search, place: int) -> dict[str, tuple[float, float, str]]:
-    """Further numbers of an accepted effect: value, standard deviation, unit."""
+    """Further numbers of an accepted effect: value, standard deviation, unit; of a term of the instrument those that
+    were set as well, without a standard deviation.
+    """
     std = dict(zip(search.optimum.free.tolist(), search.optimum.std.tolist(), strict=True))
-    found = {}
+    effect = search.joint.model.effects[place]
+    held = settings_of(effect) if effect.of_instrument else ()
+    found = {name: (float(getattr(effect, name)), np.nan, "1") for name in held}
     for i in search.joint.numbers_of(place):
         number = search.joint.parameters[i]
         found[number.field + number.index] = (

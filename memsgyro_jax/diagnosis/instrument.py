@@ -24,19 +24,20 @@ from memsgyro_jax.effects.instrument import (
     RecordGain,
     RecordTemperature,
 )
+from memsgyro_jax.effects.lock_in_filter import LockInFilter
 from memsgyro_jax.effects.lock_in_terms import (
     CapacitiveFeedthrough,
     InterferingLine,
     LateReadings,
     LockInBackground,
     LockInFeedthrough,
-    LockInFilter,
     LockInMemory,
     LockInTime,
     PhaseDrift,
     ReferencePhase,
     UnsettledRows,
 )
+from memsgyro_jax.effects.section import settings_of
 from memsgyro_jax.measurement.case import AbstractRecord, Case
 from memsgyro_jax.measurement.declared import QUANTITIES
 from memsgyro_jax.measurement.drive_levels import levels_apart
@@ -154,10 +155,9 @@ def _late(case: Case) -> list[LateReadings]:
 
 def filters_of(case: Case) -> list[LockInFilter]:
     """The filter of the lock-in behind sweeps with a clock; none where there is none."""
-    clocked = _together(_Groups.of(case).clocked_sweeps)
-    if not clocked:
-        return []
-    return [LockInFilter(np.zeros(2), np.repeat(_Groups.of(case).table(clocked), 2, axis=2))]
+    groups = _Groups.of(case)
+    clocked = _together([group for group in groups.clocked if group in groups.swept])
+    return [LockInFilter(np.zeros(1), groups.table(clocked))] if clocked else []
 
 
 def declared_terms(case: Case) -> tuple[InstrumentTerm, ...]:
@@ -236,7 +236,10 @@ def beside_case_of(case: Case, model: Model) -> Model:
                 f"Model: its `{effect.label}` of the instrument, with {effect.strength.size} numbers, must be of the "
                 f"case {case.name}, which {has}: leave it out of the model file, or fit this case."
             )
-        return eqx.tree_at(lambda term: term.strength, mine, effect.strength)
+        kept = ("strength", *settings_of(effect))
+        return eqx.tree_at(
+            lambda term: [getattr(term, name) for name in kept], mine, [getattr(effect, n) for n in kept]
+        )
 
     return model.with_only(placed(effect) for effect in model.effects)
 
@@ -302,11 +305,6 @@ class _Groups:
         order = np.argsort(begin)
         follow = np.all(begin[order][1:] >= (begin + span)[order][:-1])
         return _together(self.clocked) if len(timed) > 1 and follow else []
-
-    @property
-    def clocked_sweeps(self) -> list[set[Place]]:
-        """Of the records with a clock, those of a sweep."""
-        return [group for group in self.clocked if group in self.swept]
 
     @property
     def whole(self) -> dict[str, np.ndarray]:

@@ -2,18 +2,25 @@
 up and down passes for a drift, and no step from none leads there.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Complex
 from scipy import optimize
-from scipy.special import gammainc
 
-from memsgyro_jax.effects.lock_in_terms import LockInEffect, LockInMemory
+from memsgyro_jax.base.kept import kept
+from memsgyro_jax.base.plainly import PLAINLY
+from memsgyro_jax.effects.base import Effect, LockInEffect, UntilNow
+from memsgyro_jax.effects.lock_in_filter import MOST_POLES, LockInFilter, shares
+from memsgyro_jax.effects.lock_in_terms import LockInMemory
 from memsgyro_jax.measurement.experiments import Readings
+from memsgyro_jax.measurement.lock_in import until_now
+from memsgyro_jax.measurement.model import Model
 
 from .acceptance import BEYOND_LINEAR, excess
 from .fit import beside_case
@@ -24,46 +31,69 @@ from .promise import offers_of, promised
 from .search import Ranking, Search, SearchStep, always_free
 
 
+SAME = 0.1  # of χ²: two fits that differ by less are one
 MOSTLY = 0.5  # of the misfit beyond noise, which the filter must take
-POLES = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0)
-LAGS = np.geomspace(0.1, 8.0, 28)  # of the usual time between rows
-NEXT = np.log(LAGS[1] / LAGS[0])  # from one of them to the next
-SIMPLEX, EVALUATIONS = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5]]), 80  # to where a filter between them ends
+SOME = (1, 4)  # poles, by which a lag is first looked for
+LAGS = np.geomspace(0.05, 8.0, 22)  # of the usual time between rows
+NEXT = float(np.log(LAGS[1] / LAGS[0]))  # from one of them to the next
 STEPS = 3  # of the device, which without the filter is broader than it is
 SHORTEST = 0.3  # of a rate of decay or a stiffness, to which it goes at once
 
 
 def behind_filter(search: Search, ranking: Ranking) -> Search:
     """The search with the filter of the lock-in, where that takes most of what is missing, and more than any further
-    effect or other term of the instrument promises; the same search else.
+    effect or other term of the instrument promises, and with as many poles as that takes; the same search else.
 
     Args:
         search: at the present model.
         ranking: the further effects beside it.
     """
+    if _place(search) is not None:
+        with_poles_chosen(search)
+        return search
     terms, effects = filters_of(search.case), search.joint.model.effects
     present = [effects[i] for i in (*search.given, *search.accepted)]
     missing, own = excess(search.optimum), len(search.given)
     if not terms or missing <= 0 or any(isinstance(e, LockInEffect) and e.last for e in present):
         return search
     sought = _Sought.of(search)
-    if sought is None or (found := sought.found(search, _least(search, ranking))) is None:
+    found = None if sought is None else sought.found(search, search.optimum.vector, _least(search, ranking))
+    if found is None:
         return search
-    strength = found.lag * np.array([1.0, 1.0 - 1.0 / found.poles])
-    term = eqx.tree_at(lambda t: t.strength, terms[0], strength)
     model = search.joint.at(found.vector)
-    model = model.with_only((*model.effects[:own], term, *model.effects[own:]))
+    model = model.with_only((*model.effects[:own], found.of(terms[0]), *model.effects[own:]))
     whole = Joint(model, search.joint.readings, search.joint.programs)
     accepted = [i + 1 for i in search.accepted]
     optimum = optimise(whole, whole.start, always_free(whole, (*range(own + 1), *accepted)), whole.fitted)
     if excess(optimum) > (1.0 - MOSTLY) * missing:
         return search
-    search.tell(f"added {term.label}: χ²/dof {optimum.chi2 / optimum.dof:.4g}")
+    search.tell(f"added {terms[0].label}: χ²/dof {optimum.chi2 / optimum.dof:.4g}")
     out = Search(search.base, search.level, range(own + 1), search.tell)
     out.joint, out.optimum, out.accepted, out.keep = whole, optimum, accepted, search.keep
     out.own, out.looked = tuple(i + 1 for i in search.own), search.looked
-    out.steps = [*search.steps, SearchStep(term.label, beside_case(search.case, whole, optimum))]
+    out.steps = [*search.steps, SearchStep(terms[0].label, beside_case(search.case, whole, optimum))]
     return out
+
+
+def with_poles_chosen(search: Search) -> None:
+    """Give the filter that a search has as many poles as fit best beside the effects found since."""
+    place, sought = _place(search), _Sought.of(search)
+    if place is None or sought is None or (found := sought.found(search, search.without(place), -np.inf)) is None:
+        return
+    model = search.joint.at(found.vector)
+    effects = [found.of(effect) if i == place else effect for i, effect in enumerate(model.effects)]
+    whole = Joint(model.with_only(effects), search.joint.readings, search.joint.programs)
+    optimum = optimise(whole, whole.start, search.optimum.free, whole.fitted)
+    if optimum.chi2 < search.optimum.chi2 - SAME:
+        search.joint, search.optimum, search.unseen = whole, optimum, None
+        last = replace(search.steps[-1], fit=beside_case(search.case, whole, optimum))
+        search.steps = [*search.steps[:-1], last]
+
+
+def _place(search: Search) -> int | None:
+    """Of the filter among the effects of a search that has one."""
+    given = [i for i in search.given if isinstance(search.joint.model.effects[i], LockInFilter)]
+    return given[0] if given else None
 
 
 def _least(search: Search, ranking: Ranking) -> float:
@@ -82,121 +112,140 @@ class _Found(NamedTuple):
     """A filter, the parameters of the device with it, and the χ² of all that is fitted, to the first order."""
 
     chi2: float
-    lag: float
-    poles: float
+    tau: float
+    poles: int
     vector: np.ndarray
+
+    def of(self, term: Effect) -> Effect:
+        """The term of a filter, as this one."""
+        numbers = np.array([self.tau]), jnp.asarray(float(self.poles))
+        return eqx.tree_at(lambda t: (t.strength, t.poles), term, numbers)
 
 
 class _Sought(NamedTuple):
     """What sweeps with a clock show of rows further back.
 
     Args:
-        halves: readings of their rows.
+        sweep: all their rows.
+        halves: readings of some of them.
         others: fitted readings of other records.
-        fits: (n,) which of all rows are fitted.
-        measured, std: (n, channels) of all rows [V].
-        rows: (n, k) each row and those before it.
-        ages: (n, k − 1) times since the latter were read [s].
+        fits: (n,) which rows are fitted.
+        std: (n, channels) of their noise [V].
     """
 
+    sweep: Any
     halves: tuple[Readings, ...]
     others: tuple[Readings, ...]
     fits: np.ndarray
-    measured: np.ndarray
     std: np.ndarray
-    rows: np.ndarray
-    ages: np.ndarray
 
     @classmethod
     def of(cls, search: Search) -> "_Sought | None":
         """Of the readings of a search; `None` where no record has a clock."""
-        every = [r for r in search.joint.readings if getattr(r.experiment, "every", None) is not None]
-        whole = {id(r.experiment.every): r.experiment.every for r in every}  # type: ignore[attr-defined]
-        if len(whole) != 1:
+        sweeps = {id(sweep): sweep for r in search.joint.readings if (sweep := _every(r)) is not None}
+        if len(sweeps) != 1:
             return None
-        (sweep,) = whole.values()
-        before, channels = sweep.rows_before, sweep.measured.shape[1]
-        if not np.isfinite(before.ages).any():
-            return None
-        fits = np.zeros(len(sweep.frequency), bool)
-        for r in every:
+        (sweep,) = sweeps.values()
+        halves = tuple(r for r in search.joint.readings if _every(r) is not None)
+        others = tuple(r for r in search.joint.fitted if _every(r) is None)
+        fits = np.zeros(sweep.frequency.size, bool)
+        for r in halves:
             half: Any = r.experiment
             taken = np.isfinite(np.asarray(half.noise.std)).any(axis=1) & (r.record >= 0)
             fits[np.asarray(half.place)[taken & r.fitted]] = True
-        rows = np.concatenate([np.arange(fits.size)[:, None], np.asarray(before.rows)], axis=1)
-        std = np.broadcast_to(np.asarray(sweep.noise.std), (fits.size, channels))
-        others = tuple(r for r in search.joint.fitted if getattr(r.experiment, "every", None) is None)
-        return cls(tuple(every), others, fits, np.asarray(sweep.measured), std, rows, np.asarray(before.ages))
+        std = np.broadcast_to(np.asarray(sweep.noise.std), sweep.measured.shape)
+        return cls(sweep, halves, others, fits, std)
 
-    def found(self, search: Search, least: float) -> _Found | None:
-        """The best filter; `None` where its first estimate does not take so much from χ²."""
-        free, best = search.optimum.free, None
+    def found(self, search: Search, vector: np.ndarray, least: float) -> _Found | None:
+        """The best filter beside the parameters of a vector that has none; `None` where its first estimate does not
+        take so much from χ².
+        """
+        joint, best = search.joint, None
+        free = np.array([i for i in search.optimum.free if not isinstance(_owner(joint, i), LockInFilter)])
         for _ in range(STEPS):
-            best = self._best(search.joint, search.optimum.vector if best is None else best.vector, free)
+            best = self._best(joint, vector if best is None else best.vector, free)
             if search.optimum.chi2 - best.chi2 < least:
                 return None
         return best
 
     def _best(self, joint: Joint, vector: np.ndarray, free: np.ndarray) -> _Found:
         """The best filter, and a step of the device beside it."""
-        settled, slopes, left, others = self._told(joint, vector, free)
-        settled, slopes = settled[self.rows[self.fits]], slopes[self.rows[self.fits]]
+        columns, left, others = self._told(joint, vector, free)
+        moved = _moved(joint.at(vector).present, jnp.asarray(columns), self.sweep)
+        moved = jax.tree.map(lambda leaf: leaf[self.fits], moved)
+        measured, std = np.asarray(self.sweep.measured)[self.fits], self.std[self.fits]
 
-        def tried(lag: float, n: float) -> tuple[float, np.ndarray]:
-            shares = self._shares(lag, n)
-            read, along = np.einsum("nk,nkc->nc", shares, settled), np.einsum("nk,nkcp->ncp", shares, slopes)
-            std = self.std[self.fits]
-            misfit, by = _real((self.measured[self.fits] - read) / std), _real(along / std[..., None])
+        def tried(tau: float, poles: int) -> tuple[float, np.ndarray]:
+            read = np.asarray(_read(jnp.asarray(tau), jnp.asarray(float(poles)), moved))
+            misfit, by = _real((measured - read[..., 0]) / std), _real(read[..., 1:] / std[..., None])
             return _step(np.concatenate([misfit, left]), np.concatenate([-by, others]))
 
-        usual = np.median(self.ages[np.isfinite(self.ages[:, 0]), 0])
-        begin = min(itertools.product(usual * LAGS, POLES), key=lambda pair: tried(*pair)[0])
-        lag, n = _finer(lambda lag, n: tried(lag, n)[0], begin)
-        chi2, step = tried(lag, n)
-        moved, low = vector.copy(), joint.bounds[0][free]
-        moved[free] += step
-        moved[free] = np.where(low >= 0, np.maximum(moved[free], SHORTEST * vector[free]), moved[free])
-        return _Found(chi2, lag, n, moved)
+        ages = self.sweep.rows_before.ages[:, 0]
+        usual = float(np.median(ages[np.isfinite(ages)]))
+        lag = min(usual * LAGS, key=lambda lag: min(tried(lag / n, n)[0] for n in SOME))
+        ends = [(*_finer(lambda tau, n=n: tried(tau, n)[0], lag / n), n) for n in range(1, MOST_POLES + 1)]
+        _, tau, poles = min(ends)
+        chi2, step = tried(tau, poles)
+        at, low = vector.copy(), joint.bounds[0][free]
+        at[free] += step
+        at[free] = np.where(low >= 0, np.maximum(at[free], SHORTEST * vector[free]), at[free])
+        return _Found(chi2, tau, poles, at)
 
-    def _shares(self, lag: float, poles: float) -> np.ndarray:
-        """(n, k) of each row that is fitted: how much of it and of those before it a filter shows."""
-        ages = self.ages[self.fits]
-        old = ~np.isfinite(ages)
-        shown = np.where(old, 1.0, gammainc(poles, np.where(old, 1.0, ages) * poles / lag))
-        return np.diff(np.pad(shown, ((0, 0), (1, 1)), constant_values=((0, 0), (0, 1))), axis=1)
-
-    def _told(
-        self, joint: Joint, vector: np.ndarray, free: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Phasors of all rows as the device settles (n, channels) and their slopes by what is free (n, channels, p);
+    def _told(self, joint: Joint, vector: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Phasors to which the device settles in all rows and their slopes by what is free (1 + p, n, channels);
         residual and slopes of the other records.
         """
-        count, channels = self.measured.shape
-        settled, slopes = np.zeros((count, channels), complex), np.zeros((count, channels, free.size), complex)
+        told = np.zeros((1 + free.size, *self.std.shape), complex)
         units = np.eye(vector.size)[free]
         for r in self.halves:
-            experiment = r.experiment
-            place = np.asarray(experiment.place)  # type: ignore[attr-defined]
-            heard = replace(r, experiment=eqx.tree_at(lambda e: e.noise.std, experiment, self.std[place]), whole=None)
-            value, slope = joint.linearise(vector, units, [heard])
-            value, slope = value.reshape(-1, channels, 2), slope.reshape(-1, channels, 2, free.size)
-            settled[place] = value[..., 0] + 1j * value[..., 1]
-            slopes[place] = slope[:, :, 0] + 1j * slope[:, :, 1]
-        known = np.isfinite(self.std)
-        settled = np.where(known, self.measured - np.where(known, self.std, 0.0) * settled, 0.0)
-        slopes = -np.where(known, self.std, 0.0)[..., None] * slopes
+            half: Any = r.experiment
+            place, at_once = np.asarray(half.place), jnp.zeros(half.frequency.shape)
+            heard = eqx.tree_at(lambda e: e.noise.std, half, jnp.asarray(self.std[place]))
+            heard = heard if half.unsettled is None else eqx.tree_at(lambda e: e.unsettled, heard, at_once)
+            value, slope = joint.linearise(vector, units, [replace(r, experiment=heard, whole=None)])
+            parts = np.concatenate([value[:, None], slope], axis=1).T.reshape(1 + free.size, *half.measured.shape, 2)
+            told[:, place] = parts[..., 0] + 1j * parts[..., 1]
+        told = -np.where(np.isfinite(self.std), self.std, 0.0) * told
+        told[0] += np.where(np.isfinite(self.std), np.asarray(self.sweep.measured), 0.0)
         rest = joint.linearise(vector, units, self.others) if self.others else (np.zeros(0), np.zeros((0, free.size)))
-        return settled, slopes, *rest
+        return told, *rest
 
 
-def _finer(misfit: Callable[[float, float], float], begin: tuple[float, float]) -> tuple[float, float]:
-    """Lag and poles, at least one, of the least misfit near those of a grid."""
-    end = optimize.minimize(
-        lambda x: misfit(begin[0] * np.exp(x[0]), begin[1] * np.exp(x[1])), np.zeros(2), method="Nelder-Mead",
-        bounds=[(-NEXT, NEXT), (max(-3 * NEXT, -np.log(begin[1])), 3 * NEXT)],
-        options={"initial_simplex": NEXT * SIMPLEX, "maxfev": EVALUATIONS},
-    )  # fmt: skip
-    return float(begin[0] * np.exp(end.x[0])), float(begin[1] * np.exp(end.x[1]))
+def _owner(joint: Joint, parameter: int) -> Effect | None:
+    """The effect that a parameter is of; none where it is the device's."""
+    place = joint.parameters[parameter].effect
+    return None if place is None else joint.model.effects[place]
+
+
+def _every(readings: Readings) -> Any:
+    """All rows of the sweeps that readings are some of, where these follow each other by a clock; else `None`."""
+    return getattr(readings.experiment, "every", None)
+
+
+def _moved_of(model: Model, columns: Complex[Array, "c n axes"], sweep: Any) -> UntilNow:
+    """How each row (n, ...) came about, of several motions at once (n, c, ...)."""
+    known = sweep.frequency, sweep.surroundings, sweep.dwell, sweep.unsettled, sweep.rows_before
+    return jax.vmap(lambda values: until_now(model, values, *known), out_axes=BY_MOTION)(columns)
+
+
+def _read_of(tau: Array, poles: Array, moved: UntilNow) -> Complex[Array, "n axes c"]:
+    """What a filter shows of several motions."""
+
+    def row(moved: UntilNow) -> Array:
+        part = shares(tau, poles, moved)
+        return jax.vmap(part.of, in_axes=(OF_A_ROW,), out_axes=1)(moved)
+
+    return jax.vmap(row)(moved)
+
+
+BY_MOTION, OF_A_ROW = UntilNow(1, 1, None, None, None, None), UntilNow(0, 0, None, None, None, None)
+_moved, _read = kept(_moved_of, PLAINLY), kept(_read_of, PLAINLY)
+
+
+def _finer(misfit: Callable[[float], float], begin: float) -> tuple[float, float]:
+    """The least misfit near a time constant of a grid, and where it is."""
+    end = optimize.minimize_scalar(lambda x: misfit(begin * np.exp(x)), bounds=(-NEXT, NEXT), method="bounded")
+    return float(end.fun), float(begin * np.exp(end.x))
 
 
 def _real(values: np.ndarray) -> np.ndarray:

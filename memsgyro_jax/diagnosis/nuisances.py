@@ -113,8 +113,9 @@ def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
 def _numbers_of(term: Accepted) -> str:
     every = zip(term.told(4), term.estimate, term.std, strict=True)
     held = [told for told, e, s in every if not abs(e) <= 1e-6 * s]
-    (words,) = [kind.in_words(np.asarray(term.estimate)) for kind in TERMS if kind.name == term.name]
-    return f"{term.label} {said_in(', '.join(held), term.unit)}{f' ({words})' * bool(words)}"
+    beside = [f"{np.degrees(term.estimate[0]):.4g}°"] if term.unit == "rad" and len(term.estimate) == 1 else []
+    beside += [f"{name} {value:.4g}" for name, (value, *_) in term.numbers.items()]
+    return f"{term.label} {said_in(', '.join(held), term.unit)}{' (' + ', '.join(beside) + ')' if beside else ''}"
 
 
 def instrument_alone(search: Search, first: Ranking, best: Best | None) -> Search | None:

@@ -5,7 +5,7 @@ Everything here looks at fitted readings alone: those that validate are kept for
 
 from dataclasses import replace
 
-from memsgyro_jax.effects.lock_in_terms import LockInFilter
+from memsgyro_jax.effects.lock_in_filter import LockInFilter
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless, share_needed
@@ -14,7 +14,7 @@ from .exchange import exchange_one
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
 from .joint_residual import Joint
-from .lock_in_filter import behind_filter
+from .lock_in_filter import behind_filter, with_poles_chosen
 from .nuisances import instrument_between
 from .optimum import Optimum
 from .resolved import sharpened, still_apart
@@ -37,9 +37,10 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
     for _ in range(ROUNDS):
         if is_slow_noise(search, ranking) or (scanned and exhausted(search)):
             break
-        behind = search if is_noise(search) else behind_filter(search, ranking)
-        if behind is not search:
-            search, ranking = behind, behind.rank()
+        if not is_noise(search):
+            before = search.optimum
+            search = behind_filter(search, ranking)
+            ranking = ranking if search.optimum is before else search.rank()
         beside = instrument_between(search, ranking) if search.accepted and not is_noise(search) else None
         if beside is not None:
             search, ranking = beside, beside.rank()
@@ -61,14 +62,15 @@ def search_on(search: Search, ranking: Ranking) -> tuple[Search, Ranking]:
             break
         _resolve(search)
         ranking = search.rank()
-    before = list(search.accepted)
+    with_poles_chosen(search)
+    kept = list(search.accepted)
     if far_from_noise(search.optimum, search.base.optimum) and exhausted(search):
         return search, ranking
     search.prune()
     if search.accepted or any(isinstance(search.joint.model.effects[i], LockInFilter) for i in search.given):
         take_out(search)
     search = as_a_phase(search)
-    return search, ranking if before == search.accepted else search.rank()
+    return search, ranking if kept == search.accepted else search.rank()
 
 
 def _resolve(search: Search) -> None:

@@ -249,6 +249,30 @@ class SweepEffect(Effect):
         """Speed of the sweep [rad/s²]."""
 
 
+class UntilNow(eqx.Module):
+    """How a device moved in a row and in those before it, the last of them first: of each, V + e^{−B(t − t_k)}·Δ.
+
+    Args:
+        settled: phasors V that each settles to [V].
+        ringing: how far from them each began, Δ [V]; zero where it settled at once.
+        decay: matrix B [1/s] by which that dies away; `left` is e^{−B·dwell}.
+        began, ended: how long ago [s]; infinite where nobody knows.
+    """
+
+    settled: Complex[Array, "k axes"]
+    ringing: Complex[Array, "k axes"]
+    decay: Complex[Array, "k axes axes"]
+    left: Complex[Array, "k axes axes"]
+    began: Float[Array, " k"]
+    ended: Float[Array, " k"]
+
+    @classmethod
+    def settled_at(cls, values: Complex[Array, " axes"]) -> "UntilNow":
+        """Of a device that has always moved as it does."""
+        none, still = jnp.zeros((1, values.size), complex), jnp.zeros((1, values.size, values.size), complex)
+        return cls(values[None] + 0j, none, still, still, jnp.full(1, jnp.inf), jnp.zeros(1))
+
+
 class LockInRow(eqx.Module):
     """What a lock-in knows of one row.
 
@@ -260,8 +284,7 @@ class LockInRow(eqx.Module):
         dwell: time since the row before [s], zero where none is known.
         decay: matrix B [1/s] by which what differs from the settled motion of the row dies away, e^{−Bt}.
         left: e^{−Bt} after the dwell; it and B are zero where no dwell is known.
-        earlier: (k, axes) phasors that the device showed in the rows before, the last of them first [V], and
-        ages: (k,) the times since those were read [s], infinite where there was none; of effects that `remember` rows.
+        until_now: how the device moved in this row and in those before it, for effects that `remember` rows.
     """
 
     frequency: Array
@@ -273,8 +296,7 @@ class LockInRow(eqx.Module):
     dwell: Array
     decay: Complex[Array, "axes axes"]
     left: Complex[Array, "axes axes"]
-    earlier: Complex[Array, "k axes"]
-    ages: Float[Array, " k"]
+    until_now: UntilNow
 
 
 class LockInEffect(Effect):

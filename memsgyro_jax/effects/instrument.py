@@ -93,11 +93,6 @@ class InstrumentTerm(Effect):
         table = self.entry[jnp.asarray(now.record, int), jnp.asarray(now.sweep, int)]
         return table @ self.strength
 
-    @classmethod
-    def in_words(cls, numbers: np.ndarray) -> str:
-        """What its numbers mean beside their unit, for people; empty by default, degrees of a single angle."""
-        return f"{np.degrees(numbers[0]):.4g}°" if cls.turns and len(numbers) == 1 else ""
-
     @abc.abstractmethod
     def moved(self, seen: SeenRows) -> np.ndarray:
         """(n, axes) how rows of a linear device move with the number that they take."""
@@ -112,8 +107,8 @@ class InstrumentTerm(Effect):
 
 
 def row_field(default: Any) -> Array:
-    """A field that says which number a row takes, or when a record was taken."""
-    return eqx.field(converter=in_unit("", float), default=default)
+    """A field that says which number a row takes, or when a record was taken: of a case, not of the instrument."""
+    return eqx.field(converter=in_unit("", float), default=default, metadata={"of_rows": True})
 
 
 class DriveLevel(InstrumentTerm, DriveEffect):

@@ -5,7 +5,6 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammainc
 from jaxtyping import Array, Complex, Float
 
 from memsgyro_jax.base.linalg import inverse
@@ -25,9 +24,9 @@ from .instrument import (
     SeenRows,
     row_field,
 )
+from .lock_in_filter import LockInFilter
 
 
-MOST_POLES = 16.0  # of a filter: with more it is a delay
 _PARTS = ("in phase", "quadrature")
 
 
@@ -251,60 +250,11 @@ class LockInTime(InstrumentTerm, LockInEffect):
         return seen.turning
 
 
-class LockInFilter(InstrumentTerm, LockInEffect):
-    """The filter of the lock-in, of one or more equal poles, behind a device that settles within a row: of a step a
-    time t ago it shows P(n, t/τ), the regularised gamma function, and so what each row before has left. Zero: none.
-
-    Its numbers are the lag n·τ of all poles and the part (n − 1)·τ of those behind the first: nothing where there is
-    one, three quarters where there are four, and the filter falls by 24 dB an octave.
-
-    Stanford Research Systems, "About Lock-In Amplifiers", application note 3: equal stages, one behind the other.
-    """
-
-    name, unit, law = (
-        "lock_in_filter",
-        "s",
-        "V_n → Σ_k [P(n, t_k/τ) − P(n, t_{k−1}/τ)]·V_{n−k}, n·τ = s_0, (n − 1)·τ = s_1",
-    )
-    reference = "Stanford Research Systems, application note 3"
-    parts: ClassVar[tuple[str, ...]] = ("lag", "lag behind the first pole")
-    last: ClassVar[bool] = True
-    remembers: ClassVar[bool] = True
-    strength: Array = strength((0.0, 0.0), low=0.0)
-    entry: Array = row_field((((0.0, 0.0),),))
-
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
-        taken = self.entry[jnp.asarray(row.record, int), jnp.asarray(row.sweep, int)]
-        lag, behind_first = taken * self.strength
-        steps = jnp.diff(passed(lag, behind_first, row.ages), prepend=0.0, append=1.0)
-        return steps @ jnp.concatenate([values[None], row.earlier])
-
-    def moved(self, seen: SeenRows) -> np.ndarray:
-        """Nothing: from no lag on, as of a step long past."""
-        return np.zeros_like(seen.values)
-
-    @classmethod
-    def in_words(cls, numbers: np.ndarray) -> str:
-        tau = float(numbers[0] - numbers[1])
-        poles = f"{numbers[0] / tau:.2g} poles"
-        return f"{'one pole' if poles == '1 poles' else poles} of {tau:.4g} s"
-
-
 TERMS: tuple[type[InstrumentTerm], ...] = (
     *(UnsettledRows, LockInTime, LockInMemory, LockInFilter, ReferencePhase, LockInBackground, InterferingLine),
     *(LockInFeedthrough, CapacitiveFeedthrough, LateReadings, DriveLevel, RecordGain, RecordTemperature),
     *(FrequencyOffset, FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
 )
-
-
-def passed(lag: Array, behind_first: Array, age: Float[Array, " k"]) -> Float[Array, " k"]:
-    """How much of steps so long ago [s] equal poles of a lag together show: all where there is none, or the age is
-    infinite.
-    """
-    seen = (lag > 0) & jnp.isfinite(age)
-    whole = jnp.where(lag > 0, lag, 1.0)
-    tau = jnp.maximum(whole - jnp.where(lag > 0, behind_first, 0.0), whole / MOST_POLES)
-    return jnp.where(seen, gammainc(whole / tau, jnp.where(seen, age, 1.0) / tau), 1.0)
 
 
 def _each_part(values: np.ndarray) -> np.ndarray:

@@ -114,12 +114,12 @@ def unit_of_setting(effect: Effect, name: str) -> str:
     return declared.get(name) or stated_at(effect, name)
 
 
-def entries_of_effect(effect: Effect, *, settings: bool = True) -> dict[str, Any]:
-    """The table that `EffectSection` reads back, in SI with every digit; its settings too, or its strength alone.
+def entries_of_effect(effect: Effect) -> dict[str, Any]:
+    """The table that `EffectSection` reads back, in SI with every digit.
 
     **Raises:** `InputError` where a number is not finite.
     """
-    held = {name: written(getattr(effect, name), name) for name in settings_of(effect) * settings}
+    held = {name: written(getattr(effect, name), name) for name in settings_of(effect)}
     strength = written(effect.strength, effect.label)
     unit = effect.unit if effect.unit != "1" else None
     return EffectSection(
@@ -139,8 +139,11 @@ def _check_bounds(effect: Effect, name: str, value: np.ndarray) -> None:
 
 
 def settings_of(effect: Effect) -> tuple[str, ...]:
-    """Numbers of an effect beside its strength, such as a frequency that was scanned."""
-    fields = (f.name for f in dataclasses.fields(effect) if f.name != "strength")
+    """Numbers of an effect beside its strength, such as a frequency that was scanned; none that says which rows of a
+    case a term of the instrument acts on.
+    """
+    own = (f for f in dataclasses.fields(effect) if not f.metadata.get("of_rows"))
+    fields = (f.name for f in own if f.name != "strength")
     return tuple(name for name in fields if eqx.is_array(getattr(effect, name)))
 
 

@@ -24,6 +24,7 @@ from .base import (
     ReadoutEffect,
     SurroundingsEffect,
     SweepEffect,
+    UntilNow,
 )
 
 
@@ -88,7 +89,7 @@ def _read(now: Moment) -> tuple[Array, LockInRow]:
     return values, LockInRow(
         jnp.asarray(1.0), force, 0.9j * values, now.record, now.sweep, now.time,
         dwell=jnp.asarray(1.0), decay=decay, left=jnp.exp(-0.5 - 1j) * jnp.eye(values.size),
-        earlier=jnp.stack([0.9j * values]), ages=jnp.ones(1),
+        until_now=UntilNow.settled_at(values),
     )  # fmt: skip
 
 

@@ -9,9 +9,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
+from memsgyro_jax.base.few_at_a_time import over_rows
 from memsgyro_jax.base.linalg import exponential, inverse
 from memsgyro_jax.device.conditions import Conditions
-from memsgyro_jax.effects.base import LockInEffect, LockInRow
+from memsgyro_jax.effects.base import LockInEffect, LockInRow, UntilNow
 
 from .model import Model
 
@@ -47,6 +48,7 @@ def through_lock_in(
         rows_before: each row; `None` where they stand alone, and effects that remember have nothing to remember.
     """
     effects = [effect for effect in bench.effects if isinstance(effect, LockInEffect)]
+    remembers = rows_before is not None and any(effect.remembers for effect in effects)
     clocked = dwell is not None and (unsettled is not None or any(effect.rings for effect in effects))
     if not effects and not clocked:
         return phasors
@@ -55,19 +57,60 @@ def through_lock_in(
 
     def shown(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> tuple[Array, LockInRow]:
         if clocked:
-            known = jnp.isfinite(row.dwell)
-            decay, dwell = ring_down_matrix(bench, row.frequency, conditions) * known, jnp.where(known, row.dwell, 0.0)
-            left = (jnp.exp if bench.axes == 1 else exponential)(-decay * dwell) * known
-            row = dataclasses.replace(row, dwell=dwell, decay=decay, left=left)
+            own = _ring_down(bench, row.frequency, conditions, row.dwell)
+            row = dataclasses.replace(row, **dict(zip(("dwell", "decay", "left"), own, strict=True)))
         values = _acted(first, values, row)
-        return values + apart * (row.left @ (row.before - values)) if clocked else values, row
+        rings = clocked and not remembers
+        return values + apart * (row.left @ (row.before - values)) if rings else values, row
 
     rows = _rows(frequency, force, before, conditions, dwell)
     apart = jnp.zeros(len(phasors)) if unsettled is None else unsettled
     values, rows = jax.vmap(shown)(phasors, conditions.rows(len(phasors)), apart, rows)
-    if rows_before is not None and any(effect.remembers for effect in last):
-        rows = dataclasses.replace(rows, earlier=values[rows_before.rows], ages=rows_before.ages)
-    return jax.vmap(partial(_acted, last))(values, rows)
+    if not remembers:
+        return jax.vmap(partial(_acted, last))(values, rows)
+    moved = until_now(bench, values, frequency, conditions, dwell, unsettled, rows_before)
+    return over_rows(partial(_acted, last), values, dataclasses.replace(rows, until_now=moved))
+
+
+def until_now(
+    bench: Model,
+    values: Complex[Array, "n axes"],
+    frequency: Float[Array, " n"],
+    conditions: Conditions,
+    dwell: Float[Array, " n"] | None,
+    unsettled: Float[Array, " n"] | None,
+    before: RowsBefore,
+) -> UntilNow:
+    """How a device moved until each of some rows was read (n, k, ...), which settle to `values` [V]; the others as in
+    `through_lock_in`. One that is not `unsettled` settled at once.
+    """
+    count, axes = values.shape
+    decay = left = jnp.zeros((count, axes, axes), complex)
+    ringing = jnp.zeros((count, axes), complex)
+    if dwell is not None and unsettled is not None:
+        rows = frequency, conditions.rows(count), dwell
+        dwell, decay, left = jax.vmap(partial(_ring_down, bench))(*rows)
+        _, ringing = jax.lax.scan(_began, values[0] + 0j, (values, left, unsettled * (dwell > 0)))
+    places = jnp.concatenate([jnp.arange(count)[:, None], before.rows], axis=1)
+    return UntilNow(
+        *(part[places] for part in (values, ringing, decay, left)),
+        began=jnp.pad(before.ages, ((0, 0), (0, 1)), constant_values=jnp.inf),
+        ended=jnp.pad(before.ages, ((0, 0), (1, 0))),
+    )
+
+
+def _began(at: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Where a row ends that begins at some motion, and how far from where it settles it began."""
+    settled, left, rings = row
+    begun = rings * (at - settled)
+    return settled + left @ begun, begun
+
+
+def _ring_down(bench: Model, omega: Array, conditions: Conditions, dwell: Array) -> tuple[Array, Array, Array]:
+    """Dwell of a row, B, and what is left after it, e^{−B·dwell}: zero where the dwell is unknown."""
+    known = jnp.isfinite(dwell)
+    decay, dwell = ring_down_matrix(bench, omega, conditions) * known, jnp.where(known, dwell, 0.0)
+    return dwell, decay, (jnp.exp if bench.axes == 1 else exponential)(-decay * dwell) * known
 
 
 def with_interference(bench: Model, shown: Complex[Array, "n axes"], now: Conditions) -> Complex[Array, "n axes"]:
@@ -125,8 +168,7 @@ def _rows(
         dwell=jnp.zeros(count) if dwell is None else dwell,
         decay=jnp.zeros((count, axes, axes), complex),
         left=jnp.zeros((count, axes, axes), complex),
-        earlier=jnp.zeros((count, 0, axes), complex),
-        ages=jnp.zeros((count, 0)),
+        until_now=jax.vmap(UntilNow.settled_at)(before),
     )
 
 

@@ -104,7 +104,7 @@ def model_text(model: Model, *, note: str = "") -> str:
         toml_table("readout", readout),
         toml_table("reference", reference[0] | reference[1]),
         *(toml_table("[effects]", entries_of_effect(e)) for e in model.present.effects if not e.of_instrument),
-        *(toml_table("[instrument]", entries_of_effect(e, settings=False)) for e in _terms(model.present)),
+        *(toml_table("[instrument]", entries_of_effect(e)) for e in _terms(model.present)),
     ]
     head = "".join(f"# {line}\n" for line in note.splitlines())
     return "\n".join([f'{head}schema = "{SCHEMA}"\n', *sections])

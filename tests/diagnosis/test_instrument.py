@@ -25,7 +25,7 @@ from memsgyro_jax.diagnosis.promise import offers_of
 from memsgyro_jax.diagnosis.scans import coverage
 from memsgyro_jax.diagnosis.search import Search, start_search
 from memsgyro_jax.effects import TERMS, FiniteSweepRate
-from memsgyro_jax.effects.lock_in_terms import LockInFilter, ReferencePhase
+from memsgyro_jax.effects.lock_in_terms import ReferencePhase
 from memsgyro_jax.effects.trial import complaint
 from memsgyro_jax.measurement.case import load_case
 from memsgyro_jax.measurement.import_case import import_case
@@ -69,7 +69,7 @@ def numbers(search, label):
 @pytest.mark.parametrize("kind", TERMS, ids=lambda kind: kind.name)
 @pytest.mark.parametrize("axes", [1, 2])
 def test_a_term_keeps_the_promises_of_its_port(kind, axes):
-    size = 2 if kind is LockInFilter else 2 * axes if kind.parts else 1
+    size = 2 * axes if kind.parts else 1
     term = kind(np.zeros(size), np.ones((1, 1, size)))
     assert complaint(term, axes) == ""
     assert term.of_instrument

@@ -16,7 +16,8 @@ from memsgyro_jax.diagnosis.instrument import filters_of
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.lock_in_filter import behind_filter
 from memsgyro_jax.diagnosis.search import start_search
-from memsgyro_jax.effects.lock_in_terms import LockInFilter, passed
+from memsgyro_jax.effects.base import UntilNow
+from memsgyro_jax.effects.lock_in_filter import LockInFilter, shares
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
@@ -48,22 +49,52 @@ def through(poles, tau, settled, dwell):
     return np.array(out)
 
 
+def rows_of(waits, settled, rates, at):
+    """How a motion came about that stands `at` first, of rows of so long, the last of them first."""
+    ringing, left = [], np.exp(-rates * waits)
+    for value, part in zip(settled, left, strict=True):
+        ringing.append(at - value)
+        at = value + part * ringing[-1]
+    began = np.cumsum(waits[::-1])
+    ended = began - waits[::-1]
+    column = [np.array(x)[::-1, None] for x in (settled, ringing)]
+    square = [np.array(x)[::-1, None, None] for x in (rates, left)]
+    return UntilNow(*map(jnp.asarray, (*column, *square, began, ended)))
+
+
 @pytest.mark.parametrize("poles", [1, 2, 4, 8])
-def test_a_step_passes_as_through_poles_one_behind_the_other(poles):
-    tau, ages = 0.3, np.array([0.01, 0.1, 0.5, 1.0, 3.0, np.inf])
-    left = [expm(chain(poles, tau) * age).sum(axis=1)[-1] for age in ages[:-1]]
-    shown = passed(jnp.asarray(poles * tau), jnp.asarray((poles - 1) * tau), jnp.asarray(ages))
-    np.testing.assert_allclose(shown, [*(1.0 - np.array(left)), 1.0], atol=1e-12)
+@pytest.mark.parametrize("rings", [False, True])
+def test_a_filter_shows_what_its_equations_do(poles, rings):
+    """Of a device that rings from row to row, and of one that settles at once, through poles one behind the other."""
+    tau, waits = 0.3, np.array([0.2, 0.5, 0.1, 0.7, 0.4])
+    settled, rates = np.array([1.0, -0.5j, 2.0, 0.3 + 1j, -1.0]), np.array([1 + 3j, 2.0, 4 - 9j, 1 + 30j, 3.0])
+    tail = np.eye(poles + 1)[0] / tau  # of what enters the first pole
+    at = np.full(poles + 1, 0.4 + 0.2j)  # the device, and behind each pole
+    for value, rate, wait in zip(settled, rates, waits, strict=True):
+        steady = np.full(poles + 1, value)
+        if not rings:
+            at[0] = value
+        whole = np.zeros((poles + 1, poles + 1), complex)
+        whole[0, 0] = -rate
+        whole[1:, 1:] = chain(poles, tau)
+        whole[1, 0] = tail[0]
+        at = steady + expm(whole * wait) @ (at - steady)
+    rows = rows_of(waits, settled, rates, 0.4 + 0.2j)
+    rows = rows if rings else replace(rows, ringing=jnp.zeros_like(rows.ringing))
+    # What came before had stood there for ever.
+    before = UntilNow(jnp.array([[0.4 + 0.2j]]), *(jnp.zeros((1, *s), complex) for s in ((1,), (1, 1), (1, 1))),
+                      jnp.array([jnp.inf]), rows.began[-1:])  # fmt: skip
+    rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), rows, before)
+    np.testing.assert_allclose(shares(jnp.asarray(tau), poles, rows).of(rows)[0], at[-1], atol=1e-9)
 
 
-def test_no_lag_shows_all_at_once_and_any_has_a_slope():
-    ages = jnp.array([0.1, 1.0, jnp.inf])
-    np.testing.assert_array_equal(passed(jnp.zeros(()), jnp.zeros(()), ages), 1.0)
-    at = jnp.array([0.9, 0.6])
-    slope = jax.jacfwd(lambda s: passed(s[0], s[1], ages))(at)
-    for k, step in enumerate(1e-6 * np.eye(2)):
-        ahead, back = (passed(*(at + sign * step), ages) for sign in (1.0, -1.0))
-        np.testing.assert_allclose(slope[:, k], (ahead - back) / 2e-6, atol=1e-7)
+def test_no_time_constant_shows_all_at_once_and_any_has_a_slope():
+    rows = rows_of(np.array([0.2, 0.5]), np.array([1.0, -0.5j]), np.array([1 + 3j, 2.0]), 0.4)
+    seen = UntilNow.settled_at(jnp.array([1.0 + 2j]))
+    np.testing.assert_array_equal(shares(jnp.asarray(0.3), 4, seen).of(seen), [1.0 + 2j])
+    slope = jax.jacfwd(lambda tau: shares(tau, 4, rows).of(rows))(0.3)
+    ahead, back = (shares(jnp.asarray(0.3 + step), 4, rows).of(rows) for step in (1e-6, -1e-6))
+    np.testing.assert_allclose(slope, (ahead - back) / 2e-6, atol=1e-7)
 
 
 def test_rows_that_are_fitted_know_of_those_that_are_not():
@@ -76,9 +107,9 @@ def test_rows_that_are_fitted_know_of_those_that_are_not():
             record = replace(record, time=np.cumsum(wait))
         records.append(record)
     case = replace(case, records=tuple(records))
-    device, (term,) = model_of(case, starting_device(case)), filters_of(case)
-    tau, poles = 0.7 * DWELL, 3
-    filtered = device.with_effect(LockInFilter(jnp.array([poles * tau, (poles - 1) * tau]), term.entry))
+    device, poles = model_of(case, starting_device(case)), 3
+    tau, (term,) = 0.7 * DWELL, filters_of(case)
+    filtered = device.with_effect(LockInFilter(jnp.array([tau]), term.entry, float(poles)))
     compared = 0
     for readings in readings_of(case):
         experiment = readings.experiment
@@ -104,11 +135,11 @@ def test_a_filter_is_found_with_its_lag(poles, tau):
     found = behind_filter(search, search.rank())
     assert [found.joint.model.effects[i].label for i in found.given] == ["lock_in_filter"]
     assert found.optimum.chi2 / found.optimum.dof < 1.7  # that of the case without a fault is 1.49
-    lag = poles * tau - (0 if poles == 1 else poles * DWELL / 400)  # the bench's stages take steps of a 200th
+    tau -= 0.0 if poles == 1 else DWELL / 400  # the bench's stages take steps of a 200th
     mine = found.joint.of_effect(0)
     std = found.optimum.std[np.isin(found.optimum.free, mine)]
-    assert abs(found.optimum.vector[mine][0] - lag) < 4 * std[0]
-    assert "poles" in LockInFilter.in_words(np.array([2.0, 1.5])) or poles == 1
+    assert abs(found.optimum.vector[mine][0] - tau) < 4 * std[0]
+    assert float(found.joint.model.effects[0].poles) == poles
 
 
 def test_a_settled_bench_has_no_filter():
@@ -123,4 +154,5 @@ def test_a_filter_of_four_poles_is_the_instruments_and_a_spring_beside_it_the_de
     assert [term.label for term in found.instrument] == ["lock_in_filter"]
     assert [a.label for a in found.accepted] == (["cubic_stiffness x"] if stiff else [])
     assert found.verdict == ("found" if stiff else "instrument_only")
-    assert "poles of" in found.sentence
+    assert found.instrument[0].numbers["poles"][0] == 4.0
+    assert "poles 4" in found.sentence
