@@ -36,10 +36,9 @@ from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
-from .lock_in_filter import behind_filter
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
-from .nuisances import instrument_first, of_instrument
+from .nuisances import instrument_first
 from .onset import Onset, onset_of
 from .optimum import Optimum
 from .other_courses import beside_other_courses
@@ -47,8 +46,9 @@ from .outlying import far_off, of_rows, search_beside_outlying
 from .oven import of_oven
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
+from .rows_before import behind_filter
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, before_all, denied, of_noise, sentence
+from .sentence import DRIFT, before_all, denied, of_instrument, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .worth_trying import worth_trying

@@ -24,7 +24,7 @@ from memsgyro_jax.effects.instrument import (
     RecordGain,
     RecordTemperature,
 )
-from memsgyro_jax.effects.lock_in_filter import LockInFilter
+from memsgyro_jax.effects.lock_in_poles import LockInFilter
 from memsgyro_jax.effects.lock_in_terms import (
     CapacitiveFeedthrough,
     InterferingLine,

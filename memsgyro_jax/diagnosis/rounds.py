@@ -5,7 +5,7 @@ Everything here looks at fitted readings alone: those that validate are kept for
 
 from dataclasses import replace
 
-from memsgyro_jax.effects.lock_in_filter import LockInFilter
+from memsgyro_jax.effects.lock_in_poles import LockInFilter
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import excess, hopeless, share_needed
@@ -14,10 +14,10 @@ from .exchange import exchange_one
 from .fewer import as_a_phase, take_out
 from .fit import beside_case
 from .joint_residual import Joint
-from .lock_in_filter import behind_filter, with_poles_chosen
 from .nuisances import instrument_between
 from .optimum import Optimum
 from .resolved import sharpened, still_apart
+from .rows_before import behind_filter, with_poles_chosen
 from .scans import refined, scan, scans
 from .search import ROUNDS, Ranking, Search
 from .slow_noise import is_slow_noise

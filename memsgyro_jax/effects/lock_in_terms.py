@@ -24,7 +24,7 @@ from .instrument import (
     SeenRows,
     row_field,
 )
-from .lock_in_filter import LockInFilter
+from .lock_in_poles import LockInFilter
 
 
 _PARTS = ("in phase", "quadrature")

@@ -14,10 +14,10 @@ from scipy.linalg import expm
 from memsgyro_jax.diagnosis.diagnose import diagnose
 from memsgyro_jax.diagnosis.instrument import filters_of
 from memsgyro_jax.diagnosis.joint_residual import Joint
-from memsgyro_jax.diagnosis.lock_in_filter import behind_filter
+from memsgyro_jax.diagnosis.rows_before import behind_filter
 from memsgyro_jax.diagnosis.search import start_search
 from memsgyro_jax.effects.base import UntilNow
-from memsgyro_jax.effects.lock_in_filter import LockInFilter, shares
+from memsgyro_jax.effects.lock_in_poles import LockInFilter, shares_of
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.readings import model_of, readings_of
 
@@ -85,15 +85,15 @@ def test_a_filter_shows_what_its_equations_do(poles, rings):
     before = UntilNow(jnp.array([[0.4 + 0.2j]]), *(jnp.zeros((1, *s), complex) for s in ((1,), (1, 1), (1, 1))),
                       jnp.array([jnp.inf]), rows.began[-1:])  # fmt: skip
     rows = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), rows, before)
-    np.testing.assert_allclose(shares(jnp.asarray(tau), poles, rows).of(rows)[0], at[-1], atol=1e-9)
+    np.testing.assert_allclose(shares_of(jnp.asarray(tau), poles, rows).of(rows)[0], at[-1], atol=1e-9)
 
 
 def test_no_time_constant_shows_all_at_once_and_any_has_a_slope():
     rows = rows_of(np.array([0.2, 0.5]), np.array([1.0, -0.5j]), np.array([1 + 3j, 2.0]), 0.4)
     seen = UntilNow.settled_at(jnp.array([1.0 + 2j]))
-    np.testing.assert_array_equal(shares(jnp.asarray(0.3), 4, seen).of(seen), [1.0 + 2j])
-    slope = jax.jacfwd(lambda tau: shares(tau, 4, rows).of(rows))(0.3)
-    ahead, back = (shares(jnp.asarray(0.3 + step), 4, rows).of(rows) for step in (1e-6, -1e-6))
+    np.testing.assert_array_equal(shares_of(jnp.asarray(0.3), 4, seen).of(seen), [1.0 + 2j])
+    slope = jax.jacfwd(lambda tau: shares_of(tau, 4, rows).of(rows))(0.3)
+    ahead, back = (shares_of(jnp.asarray(0.3 + step), 4, rows).of(rows) for step in (1e-6, -1e-6))
     np.testing.assert_allclose(slope, (ahead - back) / 2e-6, atol=1e-7)
 
 

@@ -37,7 +37,7 @@ class LockInFilter(InstrumentTerm, LockInEffect):
 
     def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
         tau = self.chosen(row)
-        seen = shares(jnp.where(tau > 0, tau, 1.0), self.poles, row.until_now).of(row.until_now)
+        seen = shares_of(jnp.where(tau > 0, tau, 1.0), self.poles, row.until_now).of(row.until_now)
         return jnp.where(tau > 0, seen, values)
 
     def moved(self, seen: SeenRows) -> np.ndarray:
@@ -57,7 +57,7 @@ class Shares(NamedTuple):
         return jnp.sum(parts[..., 0], axis=0)
 
 
-def shares(tau: Array, poles: Array | float, rows: UntilNow) -> Shares:
+def shares_of(tau: Array, poles: Array | float, rows: UntilNow) -> Shares:
     """What so many equal poles of a time constant [s] show of a motion V + e^{−B(t − t_k)}·Δ within each row."""
     still, one = jnp.zeros_like(rows.decay), jnp.broadcast_to(jnp.eye(rows.settled.shape[-1]) + 0j, rows.decay.shape)
     return Shares(

@@ -16,7 +16,7 @@ from scipy import optimize
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.effects.base import Effect, LockInEffect, UntilNow
-from memsgyro_jax.effects.lock_in_filter import MOST_POLES, LockInFilter, shares
+from memsgyro_jax.effects.lock_in_poles import MOST_POLES, LockInFilter, shares_of
 from memsgyro_jax.effects.lock_in_terms import LockInMemory
 from memsgyro_jax.measurement.experiments import Readings
 from memsgyro_jax.measurement.lock_in import until_now
@@ -232,7 +232,7 @@ def _read_of(tau: Array, poles: Array, moved: UntilNow) -> Complex[Array, "n axe
     """What a filter shows of several motions."""
 
     def row(moved: UntilNow) -> Array:
-        part = shares(tau, poles, moved)
+        part = shares_of(tau, poles, moved)
         return jax.vmap(part.of, in_axes=(OF_A_ROW,), out_axes=1)(moved)
 
     return jax.vmap(row)(moved)
