@@ -38,7 +38,7 @@ from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
-from .nuisances import instrument_first, of_instrument
+from .nuisances import instrument_first
 from .onset import Onset, onset_of
 from .optimum import Optimum
 from .other_courses import beside_other_courses
@@ -47,9 +47,10 @@ from .oven import of_oven
 from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, before_all, denied, of_noise, sentence
+from .sentence import DRIFT, before_all, denied, of_instrument, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
+from .wander import of_wander, with_wander_first
 from .worth_trying import worth_trying
 from .wrong_noise import what_repeats, wrong_noise
 
@@ -144,6 +145,10 @@ def _diagnosed(
         if is_slow_noise(search, first):
             yield search, first, "", plain
             return
+        wander = with_wander_first(search, first)
+        if wander is not None:
+            yield *search_on(wander, wander.rank()), "", plain
+            return
         begin, climb = moved(search, first, smooth)
         if climb is None:
             begin, climb = climbed(search, first, smooth)
@@ -219,6 +224,7 @@ def _diagnosed(
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
+        + (of_wander(search) if verdict == "instrument_only" else "")
         + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
