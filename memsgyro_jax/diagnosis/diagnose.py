@@ -50,7 +50,7 @@ from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, before_all, denied, of_instrument, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
-from .wander import of_wander, with_wander_first
+from .wander import beside_course, of_wander, wanders, with_wander_first
 from .worth_trying import worth_trying
 from .wrong_noise import what_repeats, wrong_noise
 
@@ -109,6 +109,8 @@ def diagnose(
         tell("again with the noise that the model leaves, as it is less than the rows told")
         case = with_less_noise(case, less)
         outcome, _ = _diagnosed(model, case, effects, level, thorough, tell, keep)
+    if wanders(outcome.instrument) and outcome.verdict not in UNEXPLAINED:
+        against = ()  # records of which each has its resonance agree, where that goes with the time
     return replace(outcome, sentence=before_all(against) + outcome.sentence + of_less_noise(case))
 
 
@@ -147,7 +149,7 @@ def _diagnosed(
             return
         wander = with_wander_first(search, first)
         if wander is not None:
-            yield *search_on(wander, wander.rank()), "", plain
+            yield *beside_course(wander, search_on), "", plain
             return
         begin, climb = moved(search, first, smooth)
         if climb is None:

@@ -48,6 +48,7 @@ from .row_groups import Place, RowGroups, together
 
 
 SEVERAL, PARTS = 3, 12  # single sweeps from which a resonance may wander, and parts of its course at most
+LONGER = 1.5  # times as many, which a course may have that another is compared with
 UNDECLARED = 1.0  # K to which set points are known of which a case says nothing, where somebody asks
 
 
@@ -147,14 +148,14 @@ def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
 def frequency_wander(case: Case, parts: int | None = None) -> FrequencyWander | None:
     """A resonance that wanders over sweeps which follow each other by one clock, in so many parts, else in as many as
     there are single sweeps: each passes the resonance once, and more would imitate anything. `None` where there are
-    fewer than `SEVERAL`, or less than the parts.
+    fewer than `SEVERAL`, or far less than the parts.
     """
     groups = RowGroups.of(case)
     timed = groups.in_turn
     sweeps = [own for own in groups.swept if timed and own <= timed[0]]
     most = min(PARTS, sum(map(len, sweeps)))
     size = most if parts is None else parts
-    if most < SEVERAL or size > most:
+    if most < SEVERAL or size > LONGER * most:
         return None
     return FrequencyWander(np.zeros(size), np.repeat(groups.table(timed), size, axis=2), **groups.whole)
 

@@ -18,9 +18,10 @@ from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 from .acceptance import excess
 from .best_single import best_single
 from .effort import NEARLY_ALL
-from .fewer import SHARE, cost, take_out
+from .fewer import SHARE, apart, cost, take_out
+from .findings import Accepted
 from .fit import CaseFit, beside_case
-from .instrument import frequency_wander, instrument_terms
+from .instrument import LONGER, frequency_wander, instrument_terms
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import offers_of, promised, promised_by_effects
@@ -32,7 +33,7 @@ from .worth_trying import count_biases, count_temperatures
 
 STIFF = 1e-3  # of a shift, by which a course rather bends less than meets what a sweep shows by itself
 INSIDE = 0.9  # of a bound, at which a course may begin
-OTHERS = (FrequencyDrift, FrequencyOffset)  # of which a course over all records takes the place
+OTHERS = (FrequencyDrift, FrequencyOffset, FrequencyWander)  # of which a course over all records takes the place
 
 
 End = tuple[Search, Ranking]
@@ -115,6 +116,35 @@ def with_wander(search: Search, terms: Sequence[InstrumentTerm] = ()) -> Search 
     return out
 
 
+def beside_course(begin: Search, go_on: Callable[[Search, Ranking], End]) -> End:
+    """The end of a search for effects of the device beside a course that leaves noise alone; the course by itself where
+    a longer one takes as much of the little that was left, as the true one does not end with its last part.
+
+    Args:
+        begin: beside the course.
+        go_on: the search for effects, from another and its ranking.
+    """
+    ranking = begin.rank()
+    found, last = go_on(apart(begin), ranking)
+    most = frequency_wander(begin.case)
+    if not found.accepted or most is None:
+        return found, last
+    longer = _longer(begin, frequency_wander(begin.case, int(LONGER * most.strength.size)))
+    if longer.chi2 > found.optimum.chi2 + CONFUSED:
+        return found, last
+    begin.tell("a longer course explains as much")
+    return begin, ranking
+
+
+def _longer(begin: Search, term: FrequencyWander) -> Optimum:
+    """A fit with a longer course in the place of the one that a search was given."""
+    joint, order = _beside(begin, (term,))
+    (place,), mine = _wanderers(begin), joint.of_effect(order.index(-1))
+    course, vector = begin.joint.of_effect(place), joint.start.copy()
+    vector[mine[: course.size]] = begin.optimum.vector[course]
+    return optimise(joint, vector, always_free(joint, range(order.index(-1) + 1)), joint.fitted)
+
+
 def wander_at_last(ends: Ends, go_on: Callable[[Search, Ranking], End], done: Callable[[Search], bool]) -> Ends:
     """The end of a search beside a resonance that wanders, where none of some `ends` explains the records and that one
     does; else none.
@@ -147,6 +177,11 @@ def goes_with_drive(search: Search) -> bool:
     q = basis(np.column_stack([search.jacobian_without(place), offer.slopes]))
     left = search.optimum.residual + search.taken_by(place)
     return float(np.sum((left - q @ (q.T @ left)) ** 2)) <= search.optimum.chi2 + CONFUSED
+
+
+def wanders(terms: Sequence[Accepted]) -> bool:
+    """Whether the resonance wanders, by what the instrument was found to do."""
+    return any(term.name == FrequencyWander.name for term in terms)
 
 
 def of_wander(search: Search) -> str:

@@ -13,7 +13,7 @@ from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import beside_case_of, frequency_wander
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.search import start_search
-from memsgyro_jax.diagnosis.wander import goes_with_drive, with_wander, with_wander_first
+from memsgyro_jax.diagnosis.wander import beside_course, goes_with_drive, of_wander, with_wander, with_wander_first
 from memsgyro_jax.effects.instrument import FrequencyDrift, FrequencyWander
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model_file import read_model, write_model
@@ -91,7 +91,7 @@ def test_there_are_no_more_parts_than_single_sweeps(tmp_path):
     case = case_of(tmp_path, swinging)
     term = frequency_wander(case)
     assert term.strength.size == 6
-    assert frequency_wander(case, 7) is None
+    assert frequency_wander(case, 10) is None
     (record,) = case.records
     assert frequency_wander(replace(case, records=(replace(record, time=None),))) is None, "no clock"
     halves = [record.only(np.arange(3 * ROWS)), record.only(np.arange(3 * ROWS, 6 * ROWS))]
@@ -108,8 +108,8 @@ def test_a_course_comes_back_from_a_file_in_as_many_parts(tmp_path):
     found = fit_case(case, [frequency_wander(case, 5)])
     again = beside_case_of(case, read_model(write_model(found.model, tmp_path / "m.toml")))
     assert mg.compare(again, case, fitted=False).fit.optimum.chi2 == pytest.approx(found.optimum.chi2, rel=1e-9)
-    with pytest.raises(InputError, match=r"frequency_wander.*with 9 numbers"):
-        beside_case_of(case, again.with_only([FrequencyWander(np.ones(9), np.ones((1, 1, 9)))]))
+    with pytest.raises(InputError, match=r"frequency_wander.*with 10 numbers"):
+        beside_case_of(case, again.with_only([FrequencyWander(np.ones(10), np.ones((1, 1, 10)))]))
 
 
 def test_a_resonance_that_wanders_is_found_with_the_device(tmp_path):
@@ -155,4 +155,69 @@ def test_a_resonance_that_goes_with_a_drive_set_once_is_not_told_from_one_that_w
             ("time", lambda past, level: swinging(past), both),
         )
     ]
-    assert [None if one is None else goes_with_drive(one) for one in found] == [True, False]
+    assert [goes_with_drive(one) for one in found] == [True, False]
+    assert ["cannot tell a resonance that wanders" in of_wander(one) for one in found] == [True, False]
+    assert all("An oven moves a resonance so" in of_wander(one) for one in found)
+
+
+def test_a_spring_stays_beside_a_resonance_that_wanders(tmp_path):
+    """Alone the course leaves what the spring bends."""
+    search, first = searched(case_of(tmp_path, swinging, bend=0.5))
+    assert with_wander_first(search, first) is None
+    (spring,) = first.places
+    search.take(spring, search.with_one_more(spring, first.slopes[0], 30))
+    assert search.optimum.chi2 > 10.0 * search.optimum.dof
+    found = with_wander_first(search, search.rank())
+    assert found.steps[-1].fit.leaves_noise
+    assert {effect.name for effect in found.steps[-1].fit.model.present.effects} == {
+        "cubic_stiffness",
+        "frequency_wander",
+    }
+    fit = found.steps[-1].fit
+    assert fit.modes[1].value == pytest.approx(Q, abs=4.0 * fit.modes[1].std)
+
+
+def test_what_a_longer_course_takes_as_well_is_no_effect(tmp_path):
+    """Of a course that ends with the part by which it is told; a spring that bends far more is one."""
+    told = []
+    for bend in (0.0, 0.03):
+        search, _ = searched(case_of(tmp_path / str(bend), swinging, bend=bend))
+        begin = with_wander(search)
+
+        def with_spring(begin, ranking):
+            (spring,) = ranking.places
+            begin.take(spring, begin.with_one_more(spring, ranking.slopes[0], 30))
+            return begin, begin.rank()
+
+        told.append(beside_course(begin, with_spring)[0].accepted != [])
+        assert begin.accepted == [], "it goes on by itself"
+    assert told == [False, True]
+
+
+# ---- whole diagnoses
+
+
+@pytest.mark.slow
+def test_of_a_linear_device_that_wanders_the_instrument_alone_is_told(tmp_path):
+    told = mg.diagnose(None, case_of(tmp_path, swinging))
+    assert told.verdict == "instrument_only", told.sentence
+    assert [term.name for term in told.instrument] == ["frequency_wander"]
+    assert "shows from" not in told.sentence
+    assert "An oven moves a resonance so" in told.sentence
+    assert "cannot tell" not in told.sentence
+
+
+@pytest.mark.slow
+def test_a_spring_is_found_beside_a_resonance_that_wanders(tmp_path):
+    told = mg.diagnose(None, case_of(tmp_path, swinging, bend=0.5))
+    assert told.verdict == "found", told.sentence
+    assert [effect.label for effect in told.accepted] == ["cubic_stiffness x"]
+    assert [term.name for term in told.instrument] == ["frequency_wander"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("course", [swinging, lambda past, level: 0.0])
+def test_a_resonance_that_remembers_the_swing_stays_unknown(tmp_path, course):
+    told = mg.diagnose(None, case_of(tmp_path, course, heat=0.6))
+    assert told.verdict in ("unknown_effect", "partly_explained"), told.sentence
+    assert "frequency_wander" not in [term.name for term in told.instrument]
