@@ -226,7 +226,7 @@ def _diagnosed(
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
-        + (of_wander(search) if verdict == "instrument_only" else "")
+        + ("" if unexplained else of_wander(search))
         + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
