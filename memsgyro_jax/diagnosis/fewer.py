@@ -207,7 +207,7 @@ def cost(optimum: Optimum) -> float:
     return optimum.chi2 + held * float(np.log(optimum.residual.size))
 
 
-def apart(search: Search) -> Search:
+def by_itself(search: Search) -> Search:
     """The same search, which may go on by itself."""
     out = copy(search)
     out.accepted, out.steps = list(search.accepted), list(search.steps)

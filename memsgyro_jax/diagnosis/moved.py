@@ -9,7 +9,7 @@ from memsgyro_jax.effects import Effect
 from .acceptance import excess
 from .climb import TENTH, Climb, as_found, beside_lock_in, followed
 from .drives import FAR, stages
-from .fewer import apart
+from .fewer import by_itself
 from .fit import beside_case
 from .optimum import Optimum, optimise
 from .programs import SPARE
@@ -55,7 +55,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
         beside.take(place, end)
     bent = excess(whole[-1]) > TENTH * excess(search.optimum)
     if bent or whole[-1].chi2 > FAR * whole[-1].dof:  # what bends the resonance over is still missing
-        low = _with_twins(climbing := apart(beside), every, chosen, steps[0], ends[-1].vector)
+        low = _with_twins(climbing := by_itself(beside), every, chosen, steps[0], ends[-1].vector)
         usual = search.optimum if bent else whole[-1]
         found, climb = followed(climbing, search, effects, steps, usual, low)
         if bent or climb is not None:

@@ -18,7 +18,7 @@ from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 from .acceptance import excess
 from .best_single import best_single
 from .effort import NEARLY_ALL
-from .fewer import SHARE, apart, cost, take_out
+from .fewer import SHARE, by_itself, cost, take_out
 from .findings import Accepted
 from .fit import CaseFit, beside_case
 from .instrument import LONGER, frequency_wander, instrument_terms
@@ -125,7 +125,7 @@ def beside_course(begin: Search, go_on: Callable[[Search, Ranking], End]) -> End
         go_on: the search for effects, from another and its ranking.
     """
     ranking = begin.rank()
-    found, last = go_on(apart(begin), ranking)
+    found, last = go_on(by_itself(begin), ranking)
     most = frequency_wander(begin.case)
     if not found.accepted or most is None:
         return found, last
