@@ -13,6 +13,7 @@ import numpy as np
 from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.instrument import FrequencyDrift, FrequencyOffset, FrequencyWander
 from memsgyro_jax.measurement.case import Case
+from memsgyro_jax.measurement.drive_levels import ALIKE, levels_apart
 from memsgyro_jax.measurement.phasor_fit import device_of_phasors
 
 from .acceptance import excess
@@ -25,7 +26,7 @@ from .instrument import LONGER, frequency_wander, instrument_terms
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .promise import offers_of, promised, promised_by_effects
-from .row_groups import RowGroups
+from .row_groups import Place, RowGroups
 from .score import basis
 from .search import CONFUSED, Ranking, Search, SearchStep, always_free
 from .worth_trying import count_biases, count_temperatures
@@ -168,7 +169,7 @@ def goes_with_drive(search: Search) -> bool:
     """Whether a resonance that is another at each drive level explains what is fitted as well as one that wanders in
     time does, so that nothing tells the two apart; to the first order about the course that was found.
     """
-    levels = RowGroups.of(search.case).levels[1:]
+    levels = _by_drive(search.case)[1:]
     if not levels or not _wanderers(search):
         return False
     (place,) = _wanderers(search)
@@ -177,6 +178,17 @@ def goes_with_drive(search: Search) -> bool:
     q = basis(np.column_stack([search.jacobian_without(place), offer.slopes]))
     left = search.optimum.residual + search.taken_by(place)
     return float(np.sum((left - q @ (q.T @ left)) ** 2)) <= search.optimum.chi2 + CONFUSED
+
+
+def _by_drive(case: Case) -> list[set[Place]]:
+    """The single sweeps of each axis and drive level, whichever records they are of."""
+    found: dict[tuple[int, int], set[Place]] = {}
+    swept: list[tuple[int, Any]] = [(k, record) for k, record in enumerate(case.records) if hasattr(record, "setting")]
+    told = [(k, i, r.axis, float(np.mean(r.setting[rows]))) for k, r in swept for i, rows in enumerate(r.sweeps)]
+    levels = (1.0 + ALIKE) * np.array(levels_apart(level for *_, level in told))
+    for number, sweep, axis, level in told:
+        found.setdefault((axis, int(np.searchsorted(levels, level))), set()).add((number, sweep))
+    return list(found.values())
 
 
 def wanders(terms: Sequence[Accepted]) -> bool:

@@ -13,7 +13,14 @@ from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.instrument import beside_case_of, frequency_wander
 from memsgyro_jax.diagnosis.joint_residual import Joint
 from memsgyro_jax.diagnosis.search import start_search
-from memsgyro_jax.diagnosis.wander import beside_course, goes_with_drive, of_wander, with_wander, with_wander_first
+from memsgyro_jax.diagnosis.wander import (
+    _by_drive,
+    beside_course,
+    goes_with_drive,
+    of_wander,
+    with_wander,
+    with_wander_first,
+)
 from memsgyro_jax.effects.instrument import FrequencyDrift, FrequencyWander
 from memsgyro_jax.measurement.linear_start import starting_device
 from memsgyro_jax.measurement.model_file import read_model, write_model
@@ -175,6 +182,16 @@ def test_a_spring_stays_beside_a_resonance_that_wanders(tmp_path):
     }
     fit = found.steps[-1].fit
     assert fit.modes[1].value == pytest.approx(Q, abs=4.0 * fit.modes[1].std)
+
+
+def test_a_drive_is_one_whichever_files_hold_its_sweeps(tmp_path):
+    """Else each file had a resonance of its own, and nothing told the drive from the time."""
+    whole = case_of(tmp_path, swinging)
+    (record,) = whole.records
+    alone = tuple(record.only(np.arange(record.rows)[rows]) for rows in record.sweeps)
+    assert _by_drive(whole) == [{(0, 0), (0, 1)}, {(0, 2), (0, 3)}, {(0, 4), (0, 5)}]
+    apart = replace(whole, records=tuple(replace(one, name=f"file {k}") for k, one in enumerate(alone)))
+    assert _by_drive(apart) == [{(0, 0), (1, 0)}, {(2, 0), (3, 0)}, {(4, 0), (5, 0)}]
 
 
 def test_what_a_longer_course_takes_as_well_is_no_effect(tmp_path):
