@@ -13,7 +13,7 @@ from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import Effect, ForceEffect
 from memsgyro_jax.effects.evaluation import moment
-from memsgyro_jax.effects.instrument import THROUGHOUT, ClockedTerm, FrequencyDrift
+from memsgyro_jax.effects.instrument import THROUGHOUT, ClockedTerm, FrequencyDrift, FrequencyWander
 from memsgyro_jax.measurement.calibration import unit_of_records
 from memsgyro_jax.measurement.experiments.missing_force import SweepForce
 from memsgyro_jax.measurement.model import Model
@@ -24,6 +24,7 @@ from .fit import CaseFit
 _PHASES = 64  # of a period, over which a force is averaged
 _MATTERS = 1e-3  # of the larger part of a law, below which the other is left out
 _SEEN = 0.01  # of a resonance's width, and of its quality factor: a smaller change is not told
+_COURSE = 1001  # moments of a course
 
 
 def force_of(model: Model, effect: Effect, displacement: Array, velocity: Array) -> np.ndarray:
@@ -94,10 +95,15 @@ def _sweeps(fit: CaseFit) -> list[SweepForce]:
 
 
 def drift_over(fit: CaseFit, term: Effect) -> str:
-    """A sentence on the time over which a drift goes on, and on how fast the resonance moves; empty for all else."""
+    """A sentence on the time over which a drift goes on, and on how far and fast the resonance moves; empty for all
+    else.
+    """
     if not isinstance(term, ClockedTerm):
         return ""
     spans, shares = np.unique(np.asarray(term.span)), np.asarray(term.strength)
+    if isinstance(term, FrequencyWander):
+        over = np.ptp(term.course(np.linspace(0.0, 1.0, _COURSE)) @ shares) * float(fit.modes[0].value)
+        return f"T = {spans[0]:.4g} s, by one clock: the resonance moves over {over:.3g} Hz"
     if term.where == THROUGHOUT:
         said = f"T = {spans[0]:.4g} s, from the first row of all records to the last, by one clock"
     else:

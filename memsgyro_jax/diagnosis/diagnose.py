@@ -51,6 +51,7 @@ from .search import CONFUSED, Ranking, Search, SearchStep, start_search
 from .sentence import DRIFT, before_all, denied, of_instrument, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
+from .wander import beside_course, of_wander, wanders, with_wander_first
 from .worth_trying import worth_trying
 from .wrong_noise import what_repeats, wrong_noise
 
@@ -109,6 +110,8 @@ def diagnose(
         tell("again with the noise that the model leaves, as it is less than the rows told")
         case = with_less_noise(case, less)
         outcome, _ = _diagnosed(model, case, effects, level, thorough, tell, keep)
+    if wanders(outcome.instrument) and outcome.verdict not in UNEXPLAINED:
+        against = ()  # records of which each has its resonance agree, where that goes with the time
     return replace(outcome, sentence=before_all(against) + outcome.sentence + of_less_noise(case))
 
 
@@ -146,6 +149,10 @@ def _diagnosed(
         plain = search.base, listed_candidates(case, search.joint.model, first, powers=done(search)), ""
         if is_slow_noise(search, first):
             yield search, first, "", plain
+            return
+        wander = with_wander_first(search, first)
+        if wander is not None:
+            yield *beside_course(wander, search_on), "", plain
             return
         begin, climb = moved(search, first, smooth)
         if climb is None:
@@ -222,6 +229,7 @@ def _diagnosed(
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
+        + ("" if unexplained else of_wander(search))
         + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)

@@ -1,5 +1,6 @@
 """Terms of the instrument that a model can do without, or with fewer numbers."""
 
+from copy import copy
 from dataclasses import replace
 
 import equinox as eqx
@@ -204,3 +205,10 @@ def cost(optimum: Optimum) -> float:
     """χ² and what each free number that the records hold must gain: the Bayesian information criterion."""
     held = optimum.free.size - len(optimum.frozen)
     return optimum.chi2 + held * float(np.log(optimum.residual.size))
+
+
+def by_itself(search: Search) -> Search:
+    """The same search, which may go on by itself."""
+    out = copy(search)
+    out.accepted, out.steps = list(search.accepted), list(search.steps)
+    return out

@@ -5,7 +5,6 @@ What is known beforehand of a strength enters as readings of it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import equinox as eqx
@@ -20,6 +19,7 @@ from memsgyro_jax.effects.instrument import (
     DriveLevel,
     FrequencyDrift,
     FrequencyOffset,
+    FrequencyWander,
     GainDrift,
     RecordGain,
     RecordTemperature,
@@ -38,7 +38,7 @@ from memsgyro_jax.effects.lock_in_terms import (
     UnsettledRows,
 )
 from memsgyro_jax.effects.section import settings_of
-from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.declared import QUANTITIES
 from memsgyro_jax.measurement.drive_levels import levels_apart
 from memsgyro_jax.measurement.experiments import Readings
@@ -46,7 +46,11 @@ from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.one_place import set_points
 
+from .row_groups import Place, RowGroups, together
 
+
+SEVERAL, PARTS = 3, 12  # single sweeps from which a resonance may wander, and parts of its course at most
+LONGER = 1.5  # times as many, which a course may have that another is compared with
 UNDECLARED = 1.0  # K to which set points are known of which a case says nothing, where somebody asks
 
 
@@ -86,14 +90,14 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     """The terms that the records of a case can hold and a search tries, each at zero; those of which they have but one
     group have none.
     """
-    groups = _Groups.of(case)
+    groups = RowGroups.of(case)
     phasor, clocked = groups.phasor, groups.clocked
     turned = groups.turned
-    every, several = _together(turned), turned if len(turned) > 1 else []
+    every, several = together(turned), turned if len(turned) > 1 else []
     found = [
         (UnsettledRows, groups.hasty, {}),
         (LockInTime, groups.unsettled, {}),
-        (LockInMemory, _together(groups.swept), {}),
+        (LockInMemory, together(groups.swept), {}),
         (LockInMemory, groups.swept if len(groups.swept) > 1 else [], {"of": BY_RECORD}),
         (ReferencePhase, every, {}),
         (ReferencePhase, several, {"of": BY_RECORD}),
@@ -110,7 +114,7 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
 
 
-def _interference(case: Case, groups: "_Groups") -> list[InterferingLine]:
+def _interference(case: Case, groups: "RowGroups") -> list[InterferingLine]:
     """The lines that stand in decays of phasors, each with its own numbers; none where there is no line."""
     told = [
         (number, line.omega)
@@ -136,27 +140,41 @@ def of_lines(case: Case) -> str:
 
 
 def every_term(case: Case) -> tuple[InstrumentTerm, ...]:
-    """The same, and the one that a search puts in the place of another alone."""
+    """The same, and those that a search tries in the place of others alone."""
     tried = instrument_terms(case)
+    others = [t for t in (undeclared_temperature(case), frequency_wander(case)) if t is not None]
     twin = [CapacitiveFeedthrough(t.strength) for t in tried if isinstance(t, LockInFeedthrough)]
-    warm = undeclared_temperature(case)
-    return (*tried, *twin, *_late(case), *filters_of(case), *declared_terms(case), *([] if warm is None else [warm]))
+    return (*tried, *twin, *_late(case), *filters_of(case), *declared_terms(case), *others)
+
+
+def frequency_wander(case: Case, parts: int | None = None) -> FrequencyWander | None:
+    """A resonance that wanders over sweeps which follow each other by one clock, in so many parts, else in as many as
+    there are single sweeps: each passes the resonance once, and more would imitate anything. `None` where there are
+    fewer than `SEVERAL`, or far less than the parts.
+    """
+    groups = RowGroups.of(case)
+    timed = groups.in_turn
+    sweeps = [own for own in groups.swept if timed and own <= timed[0]]
+    most = min(PARTS, sum(map(len, sweeps)))
+    size = most if parts is None else parts
+    if most < SEVERAL or size > LONGER * most:
+        return None
+    return FrequencyWander(np.zeros(size), np.repeat(groups.table(timed), size, axis=2), **groups.whole)
 
 
 def _late(case: Case) -> list[LateReadings]:
     """What comes late as a whole, of sweeps that show phasors."""
-    groups = _Groups.of(case)
+    groups = RowGroups.of(case)
     swept = [r.frequencies for r in case.records if hasattr(r, "setting") and np.iscomplexobj(r.readings)]
     if not (swept and groups.swept):
         return []
-    together = _together(groups.swept)
-    return [LateReadings(np.zeros(1), groups.table(together), np.median(np.concatenate(swept)))]
+    return [LateReadings(np.zeros(1), groups.table(together(groups.swept)), np.median(np.concatenate(swept)))]
 
 
 def filters_of(case: Case) -> list[LockInFilter]:
     """The filter of the lock-in behind sweeps with a clock; none where there is none."""
-    groups = _Groups.of(case)
-    clocked = _together([group for group in groups.clocked if group in groups.swept])
+    groups = RowGroups.of(case)
+    clocked = together([group for group in groups.clocked if group in groups.swept])
     return [LockInFilter(np.zeros(1), groups.table(clocked))] if clocked else []
 
 
@@ -188,7 +206,7 @@ def record_temperature(case: Case, spread: Mapping[int, float]) -> RecordTempera
     for number in spread:
         for sweep, point in enumerate(set_points(_warmth(case, number))):
             groups.setdefault((number, int(point)), set()).add((number, sweep))
-    table = _Groups.of(case).table(list(groups.values()))
+    table = RowGroups.of(case).table(list(groups.values()))
     return RecordTemperature(np.zeros(len(groups)), table, np.array([spread[number] for number, _ in groups]))
 
 
@@ -229,7 +247,8 @@ def beside_case_of(case: Case, model: Model) -> Model:
     def placed(effect: Effect) -> Effect:
         if not isinstance(effect, TERMS):
             return effect
-        mine = offered.get(effect.label)
+        wanders = isinstance(effect, FrequencyWander)
+        mine = frequency_wander(case, effect.strength.size) if wanders else offered.get(effect.label)
         if mine is None or mine.strength.shape != effect.strength.shape:
             has = "has no rows for it" if mine is None else f"has {mine.strength.size}"
             raise InputError(
@@ -244,103 +263,7 @@ def beside_case_of(case: Case, model: Model) -> Model:
     return model.with_only(placed(effect) for effect in model.effects)
 
 
-Place = tuple[int, int]  # record, and single sweep within it
-
-
-@dataclass(frozen=True)
-class _Groups:
-    """Groups of rows that may share a number, each a set of places."""
-
-    shape: tuple[int, int]
-    records: list[set[Place]]
-    sweeps: list[set[Place]]
-    levels: list[set[Place]]
-    phasor: list[set[Place]]
-    turned: list[set[Place]]
-    swept: list[set[Place]]
-    clocked: list[set[Place]]
-    hasty: list[set[Place]]
-    unsettled: list[set[Place]]
-    clock: dict[str, np.ndarray]
-
-    @classmethod
-    def of(cls, case: Case) -> "_Groups":
-        pieces = [getattr(record, "sweeps", (slice(None),)) for record in case.records]
-        places = [[(number, sweep) for sweep in range(len(p))] for number, p in enumerate(pieces)]
-        phasor = [np.iscomplexobj(record.readings) for record in case.records]
-        times = [_time(record) for record in case.records]
-        clocked = [t is not None and wave for t, wave in zip(times, phasor, strict=True)]
-        timed = [set(own) for own, mine in zip(places, clocked, strict=True) if mine]
-        stepped = [
-            (getattr(record, "settled", True), set(own))
-            for record, own, mine in zip(case.records, places, clocked, strict=True)
-            if mine and record.stepped
-        ]
-        levels: dict[tuple, set[Place]] = {}
-        for (record, rows), own in zip(zip(case.records, pieces, strict=True), places, strict=True):
-            for piece, place in zip(rows, own, strict=True):
-                levels.setdefault((record.name, _level(record, piece)), set()).add(place)
-        return cls(
-            (len(places), max(map(len, places))),
-            [set(own) for own in places],
-            [{place} for own in places for place in own],
-            list(levels.values()),
-            [set(own) for own, wave in zip(places, phasor, strict=True) if wave],
-            [set(own) for own, wave, r in zip(places, phasor, case.records, strict=True) if wave and r.driven],
-            [set(own) for own, wave, r in zip(places, phasor, case.records, strict=True) if wave and r.stepped],
-            timed,
-            _together([own for settled, own in stepped if settled]),
-            _together([own for settled, own in stepped if not settled]),
-            {
-                "begin": np.array([0.0 if t is None else t[0] for t in times]),
-                "span": np.array([1.0 if t is None else t[-1] - t[0] for t in times]),
-            },
-        )
-
-    @property
-    def one_clock(self) -> list[set[Place]]:
-        """All places with a clock as one group, where there are several records and each begins after another ended."""
-        timed = [{place[0] for place in group}.pop() for group in self.clocked]
-        begin, span = (self.clock[of][timed] for of in ("begin", "span"))
-        order = np.argsort(begin)
-        follow = np.all(begin[order][1:] >= (begin + span)[order][:-1])
-        return _together(self.clocked) if len(timed) > 1 and follow else []
-
-    @property
-    def whole(self) -> dict[str, np.ndarray]:
-        """The clock of all records together."""
-        timed = [{place[0] for place in group}.pop() for group in self.clocked]
-        begin, span = (self.clock[of] for of in ("begin", "span"))
-        first = min(begin[timed], default=0.0)
-        last = max((begin + span)[timed], default=1.0)
-        return {"begin": np.full(begin.shape, first), "span": np.full(begin.shape, last - first)}
-
-    def table(self, groups: Sequence[set[Place]]) -> np.ndarray:
-        """Which number a row takes (records, sweeps, k)."""
-        out = np.zeros((*self.shape, len(groups)))
-        for k, group in enumerate(groups):
-            for place in group:
-                out[(*place, k)] = 1.0
-        return out
-
-
 def drive_levels(case: Case) -> int:
     """How many levels of the drive the records have."""
     drives = [getattr(record, "setting", None) for record in case.records]
     return len(levels_apart(float(level) for drive in drives if drive is not None for level in np.ravel(drive)))
-
-
-def _together(groups: Sequence[set[Place]]) -> list[set[Place]]:
-    """All places as one group; none where there is none."""
-    return [set().union(*groups)] if groups else []
-
-
-def _level(record: AbstractRecord, piece: slice) -> float:
-    """The drive level of a single sweep; records without levels have one."""
-    drive = getattr(record, "setting", None)
-    return 0.0 if drive is None else float(np.mean(drive[piece]))
-
-
-def _time(record: AbstractRecord) -> np.ndarray | None:
-    time = getattr(record, "time", None)
-    return time if time is not None and len(time) > 1 and time[-1] > time[0] else None

@@ -1,7 +1,6 @@
 """The first effects of a device that its surroundings move: found from the linear device that each setting shows."""
 
 from collections.abc import Sequence
-from copy import copy
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from memsgyro_jax.effects import Effect
 from .acceptance import excess
 from .climb import TENTH, Climb, as_found, beside_lock_in, followed
 from .drives import FAR, stages
+from .fewer import by_itself
 from .fit import beside_case
 from .optimum import Optimum, optimise
 from .programs import SPARE
@@ -55,7 +55,7 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
         beside.take(place, end)
     bent = excess(whole[-1]) > TENTH * excess(search.optimum)
     if bent or whole[-1].chi2 > FAR * whole[-1].dof:  # what bends the resonance over is still missing
-        low = _with_twins(climbing := _apart(beside), every, chosen, steps[0], ends[-1].vector)
+        low = _with_twins(climbing := by_itself(beside), every, chosen, steps[0], ends[-1].vector)
         usual = search.optimum if bent else whole[-1]
         found, climb = followed(climbing, search, effects, steps, usual, low)
         if bent or climb is not None:
@@ -65,13 +65,6 @@ def moved(search: Search, first: Ranking, effects: Sequence[Effect]) -> tuple[Se
     base = beside_case(search.case, joint, straight)
     left = [end.chi2 for end in whole]
     return as_found(beside, search, effects), Climb(base, tuple(zip(tried, left, strict=True)), WHENCE)
-
-
-def _apart(search: Search) -> Search:
-    """The same search, which may go on by itself."""
-    out = copy(search)
-    out.accepted, out.steps = list(search.accepted), list(search.steps)
-    return out
 
 
 def _with_twins(

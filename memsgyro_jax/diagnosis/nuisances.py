@@ -18,8 +18,9 @@ from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
 from .optimum import Optimum, optimise
 from .oven import oven_offer
-from .promise import Offer, Promise, offers_of, promised
+from .promise import Promise, offers_of, promised, promised_by_effects
 from .search import GLANCE, INSTRUMENT, LOOK_AHEAD, Ranking, Search, always_free
+from .wander import wander_at_last, with_wander_first
 
 
 FAINT, RIVAL = 0.5, 0.9  # of what effects of the device would explain: below it the instrument is not the cause
@@ -74,6 +75,7 @@ def instrument_first(
         ends.append(_beside(later, search, effects, go_on))
     elif later is None and alone is not None and _other_order(whole, search):
         ends.append(order[1]())
+    ends += wander_at_last(ends, go_on, done)
     return *min(ends, key=lambda end: (not done(end[0]), cost(end[0].optimum))), ""
 
 
@@ -155,10 +157,13 @@ def instrument_between(search: Search, ranking: Ranking) -> Search | None:
 
     An effect that stands out hides what the instrument does, and what imitates the instrument must not come before it.
     """
+    first = [search.joint.model.effects[i].label for i in search.accepted] == [search.steps[-1].added]
+    if first and (wander := with_wander_first(search, ranking)) is not None:
+        return wander
     terms, promise = _offered(search)
     if promise is None or not promise.chosen or promise.gain < LITTLE * excess(search.optimum):
         return None
-    device = _promised_by_effects(search, ranking)
+    device = promised_by_effects(search, ranking)
     price, roughly = float(np.log(search.optimum.residual.size)), EVIDENT + ROUGHLY * promise.gain
     single = max(device.alone) - price if device is not None else 0.0
     # One by one, as the next effect would be taken: what several promise together is far from what they keep.
@@ -228,7 +233,7 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: Best 
     missing = excess(search.optimum)
     if not promise.chosen or search.accepted:  # then effects have had their turn
         return bool(promise.chosen) and promise.gain >= LITTLE * missing
-    device = _promised_by_effects(search, first)
+    device = promised_by_effects(search, first)
     if device is None or not device.chosen:
         return True
     if best is not None and best.optimum.leaves_noise:
@@ -236,14 +241,6 @@ def _explains_more(search: Search, first: Ranking, promise: Promise, best: Best 
         return promise.worth >= single - np.log(search.optimum.residual.size) - EVIDENT - ROUGHLY * single
     share = RIVAL if device.gain >= RIVAL * missing else FAINT
     return promise.gain >= max(share * device.gain, MOSTLY * missing)
-
-
-def _promised_by_effects(search: Search, ranking: Ranking) -> Promise | None:
-    """What further effects of the device promise; `None` where there is none."""
-    low, high = search.joint.bounds
-    blocks = [search.joint.of_effect(i) for i in ranking.places]
-    offers = [Offer(s, low[b], high[b], np.full(b.size, np.inf)) for s, b in zip(ranking.slopes, blocks, strict=True)]
-    return promised(search.optimum, offers, search.level) if offers else None
 
 
 def add_terms(search: Search, ranking: Ranking) -> None:

@@ -20,6 +20,7 @@ from memsgyro_jax.measurement.model import Model
 from .fit import CaseFit
 from .optimum import Optimum
 from .score import basis
+from .search import Ranking, Search
 
 
 MOST_TERMS = 4  # that are promised together
@@ -94,6 +95,14 @@ def promised(optimum: Optimum, offers: Sequence[Offer], level: float) -> Promise
         chosen.append(best)
         total += more[best]
     return Promise(tuple(chosen), total, total - price * sum(count[i] for i in chosen), alone)
+
+
+def promised_by_effects(search: Search, ranking: Ranking) -> Promise | None:
+    """What further effects of the device promise; `None` where there is none."""
+    low, high = search.joint.bounds
+    blocks = [search.joint.of_effect(i) for i in ranking.places]
+    offers = [Offer(s, low[b], high[b], np.full(b.size, np.inf)) for s, b in zip(ranking.slopes, blocks, strict=True)]
+    return promised(search.optimum, offers, search.level) if offers else None
 
 
 def _gain(root: np.ndarray, places: np.ndarray, bounds: np.ndarray) -> float:

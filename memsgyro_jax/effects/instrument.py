@@ -197,15 +197,21 @@ class ClockedTerm(InstrumentTerm):
     begin: AbstractVar[Array]
     span: AbstractVar[Array]
 
+    def course(self, past: Any) -> Any:
+        """(..., k), or one for all, how much of each number has come at a share of the time that is past (...)."""
+        return past[..., None] - 0.5
+
     def grown(self, now: Moment | LockInRow) -> Array:
         """The term at the time of a row."""
         record = jnp.asarray(now.record, int)
-        return self.chosen(now) * ((now.time - self.begin[record]) / self.span[record] - 0.5)
+        course = self.course((now.time - self.begin[record]) / self.span[record])
+        return (self.entry[record, jnp.asarray(now.sweep, int)] * course) @ self.strength
 
     def taken(self, seen: SeenRows) -> np.ndarray:
         record = np.asarray(seen.record, int)
-        return super().taken(seen) * ((seen.time - np.asarray(self.begin)[record]) / np.asarray(self.span)[record]
-                                       - 0.5)[:, None]  # fmt: skip
+        return super().taken(seen) * self.course(
+            (seen.time - np.asarray(self.begin)[record]) / np.asarray(self.span)[record]
+        )
 
 
 class FrequencyDrift(ClockedTerm, ForceEffect):
@@ -220,6 +226,32 @@ class FrequencyDrift(ClockedTerm, ForceEffect):
     begin: Array = row_field((0.0,))
     span: Array = row_field((1.0,))
     of: str = eqx.field(static=True, default="")
+
+    def force(self, now: Moment) -> Array:
+        return _pulled(now, self.grown(now))
+
+    def moved(self, seen: SeenRows) -> np.ndarray:
+        return seen.by_frequency
+
+
+class FrequencyWander(ClockedTerm, ForceEffect):
+    """The frequency of the device wanders over records that follow each other by one clock: T_k are the polynomials of
+    Chebyshev, of degree 1 to k over the whole time. Zero: it stays.
+
+    A smooth course needs few of them, as Mason and Handscomb, "Chebyshev Polynomials" (2003), section 5.3, show.
+    """
+
+    name, unit, law = "frequency_wander", "1", "f0 → (1 + Σ s_k·T_k(2t/T − 1))·f0"
+    strength: Array = strength((0.0,), low=-1e-1, high=1e-1)
+    entry: Array = row_field((((0.0,),),))
+    begin: Array = row_field((0.0,))
+    span: Array = row_field((1.0,))
+
+    def course(self, past: Any) -> Any:
+        place, ways = 2.0 * past - 1.0, [1.0 + 0.0 * past, 2.0 * past - 1.0]
+        for _ in range(1, self.strength.size):
+            ways.append(2.0 * place * ways[-1] - ways[-2])
+        return (jnp if isinstance(past, jnp.ndarray) else np).stack(ways[1:], axis=-1)
 
     def force(self, now: Moment) -> Array:
         return _pulled(now, self.grown(now))

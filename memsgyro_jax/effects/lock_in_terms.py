@@ -17,6 +17,7 @@ from .instrument import (
     DriveLevel,
     FrequencyDrift,
     FrequencyOffset,
+    FrequencyWander,
     GainDrift,
     InstrumentTerm,
     RecordGain,
@@ -253,7 +254,7 @@ class LockInTime(InstrumentTerm, LockInEffect):
 TERMS: tuple[type[InstrumentTerm], ...] = (
     *(UnsettledRows, LockInTime, LockInMemory, LockInFilter, ReferencePhase, LockInBackground, InterferingLine),
     *(LockInFeedthrough, CapacitiveFeedthrough, LateReadings, DriveLevel, RecordGain, RecordTemperature),
-    *(FrequencyOffset, FrequencyDrift, DampingDrift, GainDrift, PhaseDrift),
+    *(FrequencyOffset, FrequencyDrift, FrequencyWander, DampingDrift, GainDrift, PhaseDrift),
 )
 
 
