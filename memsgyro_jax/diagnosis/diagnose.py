@@ -11,7 +11,6 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Effect, Scanned
-from memsgyro_jax.effects.lock_in_terms import InterferingLine
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.case.quality import contradictions
@@ -31,14 +30,15 @@ from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
 from .fitted import within_gates
-from .instrument import beside_case_of, drive_levels, knowledge, of_lines, with_declared
+from .instrument import beside_case_of, drive_levels, knowledge, with_declared
+from .instrument_told import of_instrument, of_lines
 from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
 from .moved import moved
 from .next_experiment import advice, next_experiments, of_the_unknown
-from .nuisances import instrument_first, of_instrument
+from .nuisances import instrument_first
 from .onset import Onset, onset_of
 from .optimum import Optimum
 from .other_courses import beside_other_courses
@@ -219,7 +219,7 @@ def _diagnosed(
         + apart_in_time
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
-        + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
+        + of_lines(case, terms, unexplained)
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
         + slowly(search.slow)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from memsgyro_jax.base.text import said_in
-from memsgyro_jax.effects import TERMS, Effect, InstrumentTerm, Scanned
+from memsgyro_jax.effects import Effect, InstrumentTerm, Scanned
 from memsgyro_jax.effects.instrument import FrequencyOffset
 
 from .acceptance import BEYOND_LINEAR, excess, share_needed
@@ -14,7 +13,6 @@ from .best_single import Best, best_single
 from .effort import NEARLY_ALL, exhausted, far_from_noise
 from .exchange import stand_ins
 from .fewer import SHARE, as_a_capacitance, as_late, cost, imitated
-from .findings import Accepted
 from .fit import beside_case
 from .instrument import instrument_terms, knowledge
 from .joint_residual import Joint
@@ -94,27 +92,6 @@ def _beside(alone: Search, search: Search, effects: Sequence[Effect], go_on) -> 
 def _rival(alone: Search, best: Best | None) -> tuple[str, float]:
     """The best single effect of the device, and by how much it is better than the instrument."""
     return ("", -np.inf) if best is None else (best.label, cost(alone.optimum) - cost(best.optimum))
-
-
-def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
-    """Sentences on what the instrument does, at how many levels of the drive; empty where it does nothing. Beside
-    something unknown, which may have gone into its numbers, they are none of what is found first.
-    """
-    if not terms:
-        return ""
-    if all(np.isnan(s) for term in terms for s in term.std):
-        return f" Beside it stands what an instrument may do, without proof: {', '.join(term.label for term in terms)}."
-    also = f" These records cannot tell it from {rival}." if rival else ""
-    if levels > 1 and {term.name for term in terms} <= {kind.name for kind in TERMS if kind.in_proportion}:
-        also += f" What that explains grows in proportion at all {levels} levels of the drive: it is not the device."
-    return f" The instrument: {'; '.join(map(_numbers_of, terms))}.{also}"
-
-
-def _numbers_of(term: Accepted) -> str:
-    every = zip(term.told(4), term.estimate, term.std, strict=True)
-    held = [told for told, e, s in every if not abs(e) <= 1e-6 * s]
-    turned = f" ({np.degrees(term.estimate[0]):.4g}°)" if term.unit == "rad" and len(term.estimate) == 1 else ""
-    return f"{term.label} {said_in(', '.join(held), term.unit)}{turned}"
 
 
 def instrument_alone(search: Search, first: Ranking, best: Best | None) -> Search | None:
