@@ -11,7 +11,6 @@ from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import make_room
 from memsgyro_jax.base.text import listed
 from memsgyro_jax.effects import Effect, Scanned
-from memsgyro_jax.effects.lock_in_terms import InterferingLine
 from memsgyro_jax.measurement.case import Case
 from memsgyro_jax.measurement.case.lone import lone_readings
 from memsgyro_jax.measurement.case.quality import contradictions
@@ -31,7 +30,8 @@ from .fewer import terms_of
 from .findings import Accepted, Candidate, Stage
 from .fit import CaseFit
 from .fitted import within_gates
-from .instrument import beside_case_of, drive_levels, knowledge, of_lines, with_declared
+from .instrument import beside_case_of, drive_levels, knowledge, with_declared
+from .instrument_told import of_instrument, of_lines
 from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
@@ -48,7 +48,7 @@ from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .rows_before import behind_filter
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, before_all, denied, of_instrument, of_noise, sentence
+from .sentence import DRIFT, before_all, denied, of_noise, sentence
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .wander import beside_course, of_wander, wanders, with_wander_first
@@ -230,7 +230,7 @@ def _diagnosed(
         + of_effort(effort.ended and unexplained)
         + of_instrument(terms, rival, drive_levels(case))
         + ("" if unexplained else of_wander(search))
-        + (of_lines(case) if unexplained or any(term.name == InterferingLine.name for term in terms) else "")
+        + of_lines(case, terms, unexplained)
         + of_oven(case, terms, final.model.effects)
         + of_noise(noise, declared, again)
         + slowly(search.slow)

@@ -110,33 +110,25 @@ def instrument_terms(case: Case) -> tuple[InstrumentTerm, ...]:
     terms = [kind(np.zeros(len(g)), groups.table(g), **more) for kind, g, more in found if g]
     if phasor:
         both = np.zeros(2 * case.channels)
-        terms += [LockInBackground(both), LockInFeedthrough(both), *_interference(case, groups)]
+        terms += [LockInBackground(both), LockInFeedthrough(both)]
+    terms += _interference(case, groups)
     return tuple(sorted(terms, key=lambda term: TERMS.index(type(term))))
 
 
 def _interference(case: Case, groups: "RowGroups") -> list[InterferingLine]:
-    """The lines that stand in decays of phasors, each with its own numbers; none where there is no line."""
+    """The lines that stand in records over time, each with its own numbers; none where there is no line."""
     told = [
-        (number, line.omega)
+        (number, line.omega, 0.5 * (time[0] + time[-1]))
         for number, record in enumerate(case.records)
-        if np.iscomplexobj(record.readings)
+        if (time := _time(record)) is not None
         for line in record.interference(case)
         for _ in range(2 * case.channels)
     ]
     if not told:
         return []
-    table = groups.table([{(number, 0)} for number, _ in told])
-    return [InterferingLine(np.zeros(len(told)), table, np.array([omega for _, omega in told]))]
-
-
-def of_lines(case: Case) -> str:
-    """A sentence on the lines that stand in free decays; empty where none does."""
-    told = [
-        f"in {record.name} {line.said(getattr(record, 'reference_frequency', None), case.readout.unit)}"
-        for record in case.records
-        for line in record.interference(case)
-    ]
-    return f" While the vibration dies out, there stands {'; '.join(told)}." if told else ""
+    numbers, omega, middle = (np.array(part) for part in zip(*told, strict=True))
+    table = groups.table([{(int(number), 0)} for number in numbers])
+    return [InterferingLine(np.zeros(len(told)), table, omega, middle)]
 
 
 def every_term(case: Case) -> tuple[InstrumentTerm, ...]:

@@ -173,6 +173,7 @@ def _seen(fit: CaseFit, readings: Readings, span: slice) -> tuple[SeenRows, np.n
     values = measured + volts(optimum.residual[span])
     before = values if getattr(experiment, "before", None) is None else _before(fit, readings, values)
     ringing, turning = _ringing(fit.model, experiment, values, before)
+    own = np.asarray(getattr(experiment, "time", 0.0))
     force = np.sum(np.real(np.asarray(getattr(experiment, "force", 0.0))), axis=-1)
     return SeenRows(
         values=values,
@@ -182,7 +183,7 @@ def _seen(fit: CaseFit, readings: Readings, span: slice) -> tuple[SeenRows, np.n
         frequency=np.broadcast_to(np.asarray(getattr(experiment, "frequency", 0.0)), rows),
         record=row("record"),
         sweep=row("sweep"),
-        time=row("time"),
+        time=own if own.shape == rows else row("time"),
         ringing=ringing,
         turning=turning,
         before=before,

@@ -2,11 +2,6 @@
 
 from collections.abc import Mapping, Sequence, Set
 
-import numpy as np
-
-from memsgyro_jax.base.text import said_in
-from memsgyro_jax.effects import TERMS
-
 from .findings import Accepted
 from .fit import CaseFit
 from .onset import Onset
@@ -118,25 +113,3 @@ def of_noise(noise: Mapping[str, float], declared: Set[str], repeated: str = "")
             f" The noise would be {found}, but part of what is left is none: it repeats from sweep to sweep{repeated}."
         )
     return f" The noise is {found}: what is left there is white and depends on nothing." if found else ""
-
-
-def of_instrument(terms: Sequence[Accepted], rival: str, levels: int) -> str:
-    """Sentences on what the instrument does, at how many levels of the drive; empty where it does nothing. Beside
-    something unknown, which may have gone into its numbers, they are none of what is found first.
-    """
-    if not terms:
-        return ""
-    if all(np.isnan(s) for term in terms for s in term.std):
-        return f" Beside it stands what an instrument may do, without proof: {', '.join(term.label for term in terms)}."
-    also = f" These records cannot tell it from {rival}." if rival else ""
-    if levels > 1 and {term.name for term in terms} <= {kind.name for kind in TERMS if kind.in_proportion}:
-        also += f" What that explains grows in proportion at all {levels} levels of the drive: it is not the device."
-    return f" The instrument: {'; '.join(map(_numbers_of, terms))}.{also}"
-
-
-def _numbers_of(term: Accepted) -> str:
-    every = zip(term.told(4), term.estimate, term.std, strict=True)
-    held = [told for told, e, s in every if not abs(e) <= 1e-6 * s]
-    beside = [f"{np.degrees(term.estimate[0]):.4g}°"] if term.unit == "rad" and len(term.estimate) == 1 else []
-    beside += [f"{name} {value:.4g}" for name, (value, *_) in term.numbers.items()]
-    return f"{term.label} {said_in(', '.join(held), term.unit)}{' (' + ', '.join(beside) + ')' if beside else ''}"

@@ -13,8 +13,9 @@ DIGITS = 2  # of a resonance, beyond those of its width
 
 
 def settings_table(case: Case) -> str:
-    """Resonance, quality factor and gain, against the first, in each of several surroundings; empty where there are not
-    several. What goes with temperature and bias voltage stands there whatever its law is.
+    """Resonance, quality factor and gain, against the first, of each axis by itself, which in a coupled device is no
+    mode, in each of several surroundings; empty where there are not several. What goes with temperature and bias
+    voltage stands there whatever its law is.
     """
     every = sorted(in_each_place(case), key=lambda one: (one.axis, one.temperature, one.bias_voltage))
     if len({(one.temperature, one.bias_voltage) for one in every}) < 2:

@@ -87,32 +87,36 @@ class LockInBackground(InstrumentTerm, LockInEffect):
 
 
 class InterferingLine(InstrumentTerm, LockInEffect):
-    """A line that stands in a record beside the reference, of the mains or another instrument: V → V + s·e^{iωt}, real
-    and imaginary part of each channel, line by line. Zero: none.
+    """A line that stands in a record, of the mains or another instrument: V → V + s·e^{iω(t − t₀)}, real and imaginary
+    part of each channel, line by line; of a waveform what is real of it. Zero: none.
 
     Args:
-        omega: (k,) angular frequency of the line of each number, beside the reference [rad/s].
+        omega: (k,) angular frequency of the line of each number, of phasors beside their reference [rad/s].
+        middle: (k,) t₀, amid the record of each [s]: there its phase does not hang on how well ω is known.
     """
 
-    name, unit, law = "interfering_line", "V", "V → V + s_k·exp(iω_k·t)"
+    name, unit, law = "interfering_line", "V", "V → V + s_k·exp(iω_k·(t − t_0))"
     parts: ClassVar[tuple[str, ...]] = _PARTS
     of_every_phasor: ClassVar[bool] = True
     beside_any_motion: ClassVar[bool] = True
     strength: Array = strength((0.0,))
     entry: Array = row_field((((0.0,),),))
     omega: Array = row_field((0.0,))
+    middle: Array = row_field((0.0,))
 
-    def phasors(self, values: Complex[Array, " axes"], row: LockInRow) -> Complex[Array, " axes"]:
+    def phasors(self, values: Array, row: LockInRow) -> Array:
         taken = self.entry[jnp.asarray(row.record, int), jnp.asarray(row.sweep, int)]
-        numbers = taken * self.strength * jnp.exp(1j * self.omega * row.time)
+        numbers = taken * self.strength * jnp.exp(1j * self.omega * (row.time - self.middle))
         lines = numbers.reshape(-1, values.size, 2)
-        return values + jnp.sum(lines[..., 0] + 1j * lines[..., 1], axis=0)
+        turning = jnp.sum(lines[..., 0] + 1j * lines[..., 1], axis=0)
+        return values + (turning if jnp.iscomplexobj(values) else turning.real)
 
     def moved(self, seen: SeenRows) -> np.ndarray:
         return np.ones_like(seen.values)
 
     def slopes(self, seen: SeenRows) -> np.ndarray:
-        turned = self.taken(seen) * np.exp(1j * np.outer(seen.time, np.broadcast_to(self.omega, self.strength.shape)))
+        omega, middle = (np.broadcast_to(part, self.strength.shape) for part in (self.omega, self.middle))
+        turned = self.taken(seen) * np.exp(1j * omega * (seen.time[:, None] - middle))
         lines = self.strength.size // (2 * seen.values.shape[1])
         return np.tile(_each_part(self.moved(seen)), lines) * turned[:, None, :]
 

@@ -1,4 +1,6 @@
-"""Where a waveform that nothing drives begins to die out, and where it can no longer be read."""
+"""Where a waveform that nothing drives, or a lock-in's phasors of it, begin to die out, and where it can no longer be
+read.
+"""
 
 from typing import NamedTuple
 
@@ -6,11 +8,19 @@ import numpy as np
 
 from .experiments.clipping import clipped_rows
 from .experiments.converter_steps import lost_in_steps, rms_around
+from .noise import noise_over_time
 
 
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
 _EARLY = 0.94  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
+_SEEN = 10.0  # standard deviations of noise from which a phasor counts
+_ROWS = 24  # in which a rise can be told from a decay
+_SURE, _SLOWER = 10.0, 0.5  # standard deviations by which phasors would have fallen; share of it that is a slow start
+_KEPT_UP, _RISING, _HALF = 0.99, 0.9, 0.5  # of the largest phasor
+_QUICKER, _STANDS_OUT = 10.0, 20.0  # than the decay is what a filter leaves; χ² that it must explain
+_MORE = 0.5  # of the time that it is seen for, until it is gone
+_DIES, _OTHER = 0.5, 0.03  # in natural logarithms: a fall that tells a decay; a part that is of another vibration
 
 
 class DecayRows(NamedTuple):
@@ -68,3 +78,55 @@ def _falls_from_the_start(envelope: np.ndarray, width: int) -> bool:
     if quarter < width or fall < _FALLEN:
         return False
     return bool(4.0 * np.log(whole[0] / whole[quarter]) > _EARLY * fall)
+
+
+def behind_the_filter(time: np.ndarray, phasors: np.ndarray) -> int:
+    """The row (n,) from which on phasors at times [s] show nothing more of what a lock-in's filter held before: zero
+    where they fall from the first one on, and where what they do is no low pass that settles.
+
+    What a low pass holds dies out ten times faster than a vibration, or more. It shows beside a decay whose rate and
+    frequency are a constant, and two parts in proportion to the amplitude and to its square.
+    """
+    noise = max(noise_over_time(phasors[:, None]), 1e-300)
+    loud = np.abs(phasors) > _SEEN * noise
+    first = int(np.argmax(loud))
+    count = int(np.argmin(np.append(loud[first:], False)))
+    if count < 2 * _ROWS:
+        return 0
+    t, z = time[first : first + count] - time[first], phasors[first : first + count]
+    size = np.abs(z)
+    peak = int(np.argmax(size))
+    end = min(count - 1, peak + int(np.argmax(np.append(size[peak:] < size[peak] / np.e, True))))
+    fall = float(np.log(size[peak] / size[end]))
+    decay = fall / (t[end] - t[peak]) if end > peak and fall > _DIES else 0.0
+    sure = int(np.argmax(decay * t * size[0] > _SURE * np.sqrt(2) * noise))
+    if not sure or np.log(size[sure] / size[0]) < -_SLOWER * decay * t[sure]:
+        return 0
+    rises = size[0] < _RISING * size[peak]
+    start = 0 if rises else int(np.flatnonzero(size >= _KEPT_UP * size[peak])[-1])
+    row = peak if rises else start
+    while size[row] > _HALF * size[peak]:
+        held, left = _beside_a_decay(t[row:], z[row:], decay, noise)
+        if held < _STANDS_OUT:
+            return 0 if left > _OTHER else first + row + int(np.ceil(_MORE * (row - start)))
+        row += max(1, (row - start) // 8)
+    return 0
+
+
+def _beside_a_decay(time: np.ndarray, phasors: np.ndarray, decay: float, noise: float) -> tuple[float, float]:
+    """Of phasors over about a time constant of their `decay` [1/s]: the χ² that what dies out faster explains, and the
+    part of themselves by which they lie off a lone decay beyond their noise.
+    """
+    end = max(_ROWS, int(np.searchsorted(time, time[0] + 1.0 / decay)))
+    t, size = time[:end] - time[0], np.abs(phasors[:end])
+    weight, part = (size / noise)[:, None], size / size[0]
+    rates, steps = np.stack([part**0, part, part**2], axis=1), decay * np.diff(t)[:, None]
+    course = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)])
+    usual, _ = np.linalg.qr(np.concatenate([np.ones((len(t), 1)), course], axis=1) * weight)
+    spans = t[-1] / _QUICKER / 2.0 ** np.arange(64)
+    held = np.exp(-t[:, None] / spans[spans > 0.5 * np.median(np.diff(t))]) * weight
+    seen = (np.log(size) + 1j * np.unwrap(np.angle(phasors[:end])))[:, None] * weight
+    held, seen = (one - usual @ (usual.T @ one) for one in (held, seen))
+    gained = np.abs(held.T @ seen)[:, 0] ** 2 / np.sum(held**2, axis=0)
+    beyond = max(float(np.mean(np.abs(seen) ** 2)) - 2.0, 0.0)
+    return float(np.max(gained, initial=0.0)), float(np.sqrt(beyond / np.mean(weight**2)))

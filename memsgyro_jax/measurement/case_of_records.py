@@ -186,6 +186,7 @@ def _as_rows_show(beside: Path, name: str, records: list[ImportedRecord], source
         shown = [_told_by_rows(record, quantity) for record in shown]
         case = read(shown)
     better = [_corrected(record, one, case) for record, one in zip(shown, case.records, strict=True)]
+    better = _held_alike(shown, better, case)
     if any(one.keys != other.keys for one, other in zip(better, shown, strict=True)):
         read(better)
     return better
@@ -227,6 +228,24 @@ def _corrected(record: ImportedRecord, read: AbstractRecord, case: Case) -> Impo
         return record
     assumed = tuple(one for one in record.assumed if not any(f"(`{key}` is " in one for key in keys))
     return replace(record, keys={**record.keys, **keys}, assumed=(*assumed, told))
+
+
+def _held_alike(shown: list[ImportedRecord], better: list[ImportedRecord], case: Case) -> list[ImportedRecord]:
+    """The records, those whose force was taken to run otherwise held as that of the others was, of which the rows show
+    it, where their own rows do not say the reverse: one instrument took them all.
+    """
+    holds = {one.keys.get("hold") for one, old in zip(better, shown, strict=True) if one.keys != old.keys} - {None}
+    if len(holds) != 1:
+        return better
+    (hold,) = holds
+    out = []
+    for one, read in zip(better, case.records, strict=True):
+        if one.keys.get("hold", hold) != hold and not replace(read, hold=hold).better_keys(case)[0]:  # type: ignore[call-arg]
+            assumed = tuple(told for told in one.assumed if "(`hold` is " not in told)
+            told = f"its force ran as that of the other captures, of which the rows show it (`hold` is {hold})"
+            one = replace(one, keys={**one.keys, "hold": hold}, assumed=(*assumed, told))
+        out.append(one)
+    return out
 
 
 def _moved(beside: Path, folder: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.units import parse_header, to_si
 
-from .begin_of_decay import part_of_decay
+from .begin_of_decay import behind_the_filter, part_of_decay
 from .column_map import SECOND_DRIVE
 from .column_meaning import Meaning
 from .experiments.time_record import RING_TIMES
@@ -305,11 +305,20 @@ def _lock_in_decay(about, table, columns, rows, given: Given, assumed: list[str]
     if not given.rms and not SPECIAL.fullmatch(size.unit):
         assumed.append(f"`{size.name}` tells peak amplitudes (`--rms` where they are effective values)")
     about = {**about, "quantity": read_as(columns["Vx_I" if "I" in rows else "Vx_amp"].unit)}
+    time, axes = columns["t"], "xy" if about["two_axes"] else "x"
+    seconds, phasors = to_si(time.values, time.unit, "s", "t"), [phasors_of(columns, axis) for axis in axes]
+    begin, ends = behind_the_filter(seconds, max(phasors, key=np.std)), {}
+    if begin:
+        ends["from"] = {"value": float(time.values[begin]), "unit": time.unit}
+        at = f"{time.values[begin]:.6g} {time.unit}"
+        assumed.append(
+            f"the free decay begins at {at}, behind what the lock-in's filter still holds of before (`from`)"
+        )
     design = {}  # of two axes, which sweeps or the user tell
     if not about["two_axes"]:
-        seconds = to_si(columns["t"].values, columns["t"].unit, "s", "t")
-        design = rough_decay(seconds, phasors_of(columns, "x"), to_si(*reference, "Hz", "f"))
-    keys = stamps(columns["t"], assumed) | {"reference_frequency": {"value": reference[0], "unit": reference[1]}}
+        design = rough_decay(seconds[begin:], phasors[0][begin:], to_si(*reference, "Hz", "f"))
+    reference_frequency = {"value": reference[0], "unit": reference[1]}
+    keys = stamps(time, assumed) | {"reference_frequency": reference_frequency} | ends
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(assumed), design=design
     )

@@ -113,8 +113,10 @@ def _ring_down(bench: Model, omega: Array, conditions: Conditions, dwell: Array)
     return dwell, decay, (jnp.exp if bench.axes == 1 else exponential)(-decay * dwell) * known
 
 
-def with_interference(bench: Model, shown: Complex[Array, "n axes"], now: Conditions) -> Complex[Array, "n axes"]:
-    """Phasors [V] of a motion that nothing drives, with what an instrument adds to them whatever moves."""
+def with_interference(bench: Model, shown: Array, now: Conditions) -> Array:
+    """Phasors (n, axes) of a motion that nothing drives [V], or voltages of any, with what an instrument adds to them
+    whatever moves.
+    """
     effects = [e for e in bench.effects if isinstance(e, LockInEffect) and e.beside_any_motion]
     if not effects:
         return shown

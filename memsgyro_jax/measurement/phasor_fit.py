@@ -17,7 +17,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice, is_positive
 from .experiments.base import Phasors
 
 
-ROUNDS = 12
+ROUNDS, LAST = 12, 6
 PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
 _BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
@@ -52,6 +52,8 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         # Noise off the resonances, slow noise above all, may lead the rounds away from a device that was good.
         if least <= _SHOWN * whole or least < min(left for left, _ in rounds[: ROUNDS + 1]):
             device = best
+        if rows.motion.shape[1] > 1 and _is_device(device) and _squares(rows, device) <= _SHOWN * whole:
+            device = _likeliest(rows, device)
         steady = all(one.slope is None for one in offered)  # for which alone the following holds; else better than none
         turns = steady or not _is_device(device)
         if rows.motion.shape[1] == 1 and turns and len(rows.omega) >= _FEWEST:
@@ -279,7 +281,7 @@ def _rounds(rows: _Rows) -> Iterator[tuple[float, Coefficients]]:
     squares behind the first, then as many of instrumental variables.
     """
     axes, columns = rows.motion.shape[1], rows.columns()
-    device = _solve(rows, columns, np.outer(rows.weight / rows.omega**2, np.ones(axes)))
+    device = _solve(rows, columns, (rows.weight / rows.omega**2)[:, None, None] * np.eye(axes))
     with np.errstate(over="ignore", invalid="ignore"):
         for turn in range(2 * ROUNDS + 1):
             response = _responses(device, rows.omega, axes)
@@ -289,15 +291,35 @@ def _rounds(rows: _Rows) -> Iterator[tuple[float, Coefficients]]:
             if not np.isfinite(response).all() or turn == 2 * ROUNDS:
                 return
             # What an error of one axis' equation does to both channels: at a resonance of x that of y does little.
-            weights = rows.weight[:, None] * np.linalg.norm(response, axis=1)
+            weights = (rows.weight[:, None] * np.linalg.norm(response, axis=1))[..., None] * np.eye(axes)
             device = _solve(rows, columns, weights, rows.less(off).columns() if turn >= ROUNDS else None)
+
+
+def _likeliest(rows: _Rows, device: Coefficients) -> Coefficients:
+    """The device that leaves least, from one that leaves little: what errors of both equations do to a channel belongs
+    together, or coupled axes are told half as well as they could be.
+    """
+    columns = rows.columns()
+    for _ in range(LAST):
+        response = _responses(device, rows.omega, rows.motion.shape[1])
+        off = rows.off(device, response)
+        nearer = _solve(rows, columns, rows.weight[:, None, None] * response, rows.less(off).columns())
+        if not _is_device(nearer) or _squares(rows, nearer) > _squares(rows, device):
+            break
+        device = nearer
+    return device
+
+
+def _squares(rows: _Rows, device: Coefficients) -> float:
+    """The squared motion that a device leaves."""
+    return float(np.sum(np.abs(rows.weight[:, None] * rows.off(device)) ** 2))
 
 
 def _solve(rows: _Rows, columns: np.ndarray, weight: np.ndarray, instrument: np.ndarray | None = None) -> Coefficients:
     """The device whose equation, of `columns`, leaves what is orthogonal to those of `instrument`, of another motion:
-    least squares with `None`; `weight` (n, axes) is that of each equation.
+    least squares with `None`; `weight` (n, axes, axes) is what makes noise of its errors.
     """
-    left, right = _weighted(columns, weight), _real((-rows.bend * weight).ravel())
+    left, right = _weighted(columns, weight), _weighted(-rows.bend[..., None], weight)[:, 0]
     size = np.linalg.norm(left, axis=0)
     size = np.where(size > 0, size, 1.0)
     left = left / size
@@ -310,7 +332,7 @@ def _solve(rows: _Rows, columns: np.ndarray, weight: np.ndarray, instrument: np.
 
 
 def _weighted(columns: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    return _real((columns * weight[:, :, None]).reshape(-1, columns.shape[-1]))
+    return _real((weight @ columns).reshape(-1, columns.shape[-1]))
 
 
 def _real(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import numpy as np
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.diagnosis.findings import Accepted
 from memsgyro_jax.diagnosis.fitted import ParameterEstimate, at_bounds, of_energy
-from memsgyro_jax.diagnosis.sentence import of_instrument
+from memsgyro_jax.diagnosis.instrument_told import of_instrument
 
 
 def test_a_damping_that_feeds_a_motion_is_said():

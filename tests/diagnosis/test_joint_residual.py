@@ -125,6 +125,7 @@ def test_sensitivities_are_those_of_finite_differences(joint, kind):
 
 class Rows(NamedTuple):
     measured: np.ndarray
+    slow: bool = False
 
 
 def test_a_program_for_few_rows_says_the_same_as_one_for_many():

@@ -46,6 +46,38 @@ def test_the_mains_and_its_harmonic_are_found_in_a_waveform():
     assert [one.amplitude[0], two.amplitude[0]] == pytest.approx([3e-3, 1e-3], rel=0.1)
 
 
+@pytest.mark.parametrize("stamps", [0.0, 7.0])
+def test_harmonics_of_the_mains_over_a_few_periods(stamps):
+    """Five bins apart, each stands among those that tell what is beside the others."""
+    time = np.arange(9000) * 2e-5  # nine periods
+    rng = np.random.default_rng(4)
+    sizes = {50.0: 3e-3, 100.0: 8e-4, 150.0: 1.5e-3, 250.0: 5e-4, 350.0: 3e-4}
+    wave = 0.4 * np.exp(-14.0 * time) * np.cos(TURN * 9000.0 * time)
+    wave += sum(size * np.cos(TURN * hertz * time + hertz) for hertz, size in sizes.items())
+    wave += NOISE * rng.standard_normal(time.size)
+    told = standing_lines(stamps + time, wave[:, None], np.array([TURN * 9000.0]), 14.0)
+    assert [line.omega / TURN for line in told] == pytest.approx([50.0, 150.0, 100.0, 250.0, 350.0], abs=0.15)
+    assert [line.amplitude[0] for line in told] == pytest.approx(sorted(sizes.values())[::-1], abs=4e-5)
+
+
+def test_what_rings_for_long_hides_lines_near_it_alone():
+    time = np.arange(12000) * 2e-5
+    wave = 0.3 * np.cos(TURN * 9000.0 * time) + 0.1 * np.cos(TURN * 7000.0 * time) + 2e-3 * np.cos(TURN * 50.0 * time)
+    noise = NOISE * np.random.default_rng(5).standard_normal(time.size)
+    (one,) = standing_lines(time, (wave + noise)[:, None], np.array([TURN * 9000.0]), 0.5)
+    assert one.omega / TURN == pytest.approx(50.0, abs=0.05)
+
+
+@pytest.mark.parametrize("power", [1, 2, 3])
+def test_what_a_drive_may_make_is_no_line(power):
+    """A device answers to a drive at its frequencies, bent by its laws at those of its powers."""
+    drive = np.cos(TURN * 14.3 * TIME) + 0.5 * np.cos(TURN * 17.9 * TIME)
+    wave = noisy(6, ringing(TURN * 33.0) + 0.02 * drive**power + line(70.7, 3e-3), real=True)
+    assert len(found(wave, (TURN * 33.0,))) > 1
+    (one,) = standing_lines(TIME, wave, np.array([TURN * 33.0]), DECAY, drive[:, None])
+    assert one.omega / TURN == pytest.approx(70.7, abs=0.02)
+
+
 @pytest.mark.parametrize("stiff", [0.0, 60.0])
 @pytest.mark.parametrize("real", [False, True])
 def test_nothing_is_found_where_nothing_stands(stiff, real):

@@ -12,6 +12,7 @@ from ..columns import Columns, signal_columns
 from ..declared import Declared, Environment
 from ..noise import freedom_over_time, noise_over_time
 from ..one_place import away_from
+from ..standing_line import StandingLine, standing_lines
 from ..tracking import Track, tracked
 from .clipping import clipped
 from .deviation import Band, Deviation, Known, Overlay, Series, Variable, View, segments
@@ -114,13 +115,14 @@ class WaveformRecord(ClockedRecord):
 
     signals: np.ndarray
     reference_frequency: ClassVar[float | None] = None  # of phasors; `None` for waveforms
+    uneven: ClassVar[bool] = False
 
     @property
     def readings(self) -> np.ndarray:
         return self.signals
 
     def warnings(self, declared: Declared) -> list[str]:
-        told = super().warnings(declared)
+        told = [*super().warnings(declared), *lines_told(self, declared)]
         if np.iscomplexobj(self.signals):
             return told
         unit = "" if declared.readout.unit == "1" else f" {declared.readout.unit}"
@@ -149,6 +151,24 @@ class WaveformRecord(ClockedRecord):
         """What has been tracked, by what was asked: each is asked for again and again, and takes its time."""
         return {}
 
+    def interference(self, declared: Declared) -> tuple[StandingLine, ...]:
+        """Lines that stand in it; stamps that are not even hide them."""
+        asked = declared.resonances, declared.readout.order
+        if asked not in self._standing:
+            self._standing[asked] = () if self.uneven else self.standing_lines(declared)
+        return self._standing[asked]
+
+    @cached_property
+    def _standing(self) -> dict[tuple, tuple[StandingLine, ...]]:
+        """The lines that were found, by what was asked."""
+        return {}
+
+    def standing_lines(self, declared: Declared) -> tuple[StandingLine, ...]:
+        """Lines in even rows of what is left alone, beside the vibrations that die out."""
+        usual = [self.track(declared, channel).usual for channel in self.channels]
+        beside = np.array([omega for omega, _ in usual]) - (self.reference_frequency or 0.0)
+        return standing_lines(self.time, self.signals, beside, min(decay for _, decay in usual))
+
     def series(self, deviation: Deviation) -> Series:
         motion, white = deviation.motion(self.period), deviation.white
         speed = np.gradient(motion, self.period, axis=0)
@@ -166,6 +186,13 @@ class WaveformRecord(ClockedRecord):
         if len(self.channels) < self.readings.shape[1]:
             return None
         return force_over_time(self.name, deviation, self.time, self.noise_levels)
+
+
+def lines_told(record: AbstractRecord, declared: Declared) -> list[str]:
+    """A sentence for each line that stands in a record."""
+    reference, unit = getattr(record, "reference_frequency", None), declared.readout.unit
+    stands = "stands in the whole record, beside what the device does: interference"
+    return [f"{record.file}: {line.said(reference, unit)} {stands}." for line in record.interference(declared)]
 
 
 def surroundings_told(columns: Columns, around: Environment) -> dict[str, Any]:

@@ -103,7 +103,8 @@ class FreeDecay(Experiment):
 
         states, visited = jax.vmap(one)(starts, now, pushed, added.linear)
         kept = states[:, :: self.substeps]
-        shown = jax.vmap(jax.vmap(lambda s, c: bench.observe(s, quiet, quiet, c)))(kept, now) + seen
+        read = jax.vmap(jax.vmap(lambda s, c: bench.observe(s, quiet, quiet, c)))(kept, now)
+        shown = jax.vmap(lambda v, c: with_interference(bench, v, c))(read, now) + seen
         left = jax.vmap(lambda m, n, p, s: beside_start(n.whiten(m, p).ravel(), s))(measured, noise, shown, slopes)
         moments = self._moments(bench, visited, jnp.repeat(jnp.arange(len(self.measured)), 2 * self.substeps))
         firsts = jax.tree.map(lambda leaf: leaf[:, 0], now)
@@ -203,11 +204,11 @@ class FreeDecay(Experiment):
         quiet, (step, fine) = jnp.zeros(model.axes), self._grid(now)
         if not (jnp.iscomplexobj(self.measured) or self.nodes) and model.is_bare:  # a step of any length is exact
             states, _, _ = self._waveform(model, start, now, whole=True)
-            return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
+            return with_interference(model, jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now), now)
         if not jnp.iscomplexobj(self.measured):
             states, fine, none = self._waveform(model, start, now)
             states = self._at_samples(states, lambda: jax.vmap(model.derivative)(states, none, fine), step, now)
-            return jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now)
+            return with_interference(model, jax.vmap(lambda s, c: model.observe(s, quiet, quiet, c))(states, now), now)
         free, course, step, _ = self._turned(model, start, now)
         slopes = lambda: product(free.operator, course.start) + free.load + course.here  # noqa: E731
         states = self._at_samples(course.start, slopes, step, now)

@@ -16,7 +16,6 @@ from ..columns import phasor_columns
 from ..declared import Declared, si
 from ..noise import freedom_over_time, noise_beside_tone
 from ..section import ExperimentSection, Frequency, Seconds
-from ..standing_line import StandingLine, standing_lines
 from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
 from .checks import check_sampling
@@ -260,22 +259,8 @@ class FreeDecayRecord(WaveformRecord):
     def warnings(self, declared: Declared) -> list[str]:
         loud = [self.track(declared, channel).seen.time.size for channel in range(declared.channels)]
         silent = f"{self.file}: nothing that vibrates stands clear of the noise; is `from` right?"
-        told = [*super().warnings(declared), *([] if max(loud) > 0 else [silent]), *self._interference(declared)]
+        told = [*super().warnings(declared), *([] if max(loud) > 0 else [silent])]
         return told if np.iscomplexobj(self.signals) else told + self._hidden()
-
-    def interference(self, declared: Declared) -> tuple[StandingLine, ...]:
-        """Lines that stand in it beside what dies out; stamps that are not even hide them."""
-        if self.uneven:
-            return ()
-        usual = [self.track(declared, channel).usual for channel in range(declared.channels)]
-        beside = np.array([omega for omega, _ in usual]) - (self.reference_frequency or 0.0)
-        return standing_lines(self.time, self.signals, beside, min(decay for _, decay in usual))
-
-    def _interference(self, declared: Declared) -> list[str]:
-        """A sentence for each line that stands in the record."""
-        stands = "stands in the whole record, while the vibration dies out: interference"
-        said = (line.said(self.reference_frequency, declared.readout.unit) for line in self.interference(declared))
-        return [f"{self.file}: {line} {stands}." for line in said]
 
     def _hidden(self) -> list[str]:
         """A sentence where the vibration goes on below the steps in which it was read."""

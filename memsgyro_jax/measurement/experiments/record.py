@@ -188,7 +188,7 @@ class AbstractRecord(abc.ABC):
         return None
 
     def interference(self, declared: Declared) -> tuple[StandingLine, ...]:
-        """Lines that stand beside a vibration that dies out; by default none is looked for."""
+        """Lines that stand in it beside what the device does; by default none is looked for."""
         return ()
 
     @property

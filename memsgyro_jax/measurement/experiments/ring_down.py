@@ -1,5 +1,6 @@
 """Ring-down: driven from rest for a while, then left alone."""
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
@@ -18,6 +19,7 @@ from memsgyro_jax.device.conditions import Conditions
 from ..clock import check_period
 from ..declared import Declared
 from ..envelope import Driven
+from ..lock_in import with_interference
 from ..model import Model
 from ..noise import freedom_over_time, noise_beside_tone, noise_over_time
 from ..section import ExperimentSection, Seconds, ToneSection
@@ -90,7 +92,8 @@ class RingDown(Experiment):
         def sample(state: Array, time: Array) -> Array:
             return bench.observe(driven.instant(state, time), quiet, quiet, self.surroundings)
 
-        return jax.vmap(sample)(states, self.time)
+        now = dataclasses.replace(self.surroundings, time=self.time)
+        return with_interference(bench, jax.vmap(sample)(states, self.time), now)
 
     def proposals(self, name: str) -> Iterator[tuple[str, Experiment]]:
         """Again as it was, and from a stronger drive."""

@@ -19,8 +19,11 @@ from ..columns import force_columns
 from ..declared import Declared
 from ..envelope import FINEST, LONGEST, run_samples, visited_samples
 from ..first_order import Contribution, Inquiry, Instants
+from ..linear_answer import lines_beside_answer
+from ..lock_in import with_interference
 from ..model import Model
 from ..section import ExperimentSection
+from ..standing_line import StandingLine
 from .base import BEYOND, Experiment, Noise, Phasors, RealNoise, surroundings
 from .checks import check_sampling
 from .clocked import CONDITIONS, WaveformRecord, surroundings_told
@@ -142,7 +145,8 @@ class RawCapture(Experiment):
             bench, self.forces, self.increments, self.step, self.surroundings, self._base, start=begin, linear=linear,
             added=ends,
         )  # fmt: skip
-        seen = jax.vmap(bench.observe)(*self._kept(states))
+        kept = self._kept(states)
+        seen = with_interference(bench, jax.vmap(bench.observe)(*kept), kept[-1])
         return seen if added is None else seen + added.seen, states
 
     def _kept(self, states: Array) -> tuple[Array, Array, Array, Conditions]:
@@ -315,6 +319,10 @@ class TimeRecord(WaveformRecord):
             return whole
         steeper = np.gradient(self.rate, self.period)[:, None]
         return whole - derivatives(steeper * crossed, omega, self.period)[0]
+
+    def standing_lines(self, declared: Declared) -> tuple[StandingLine, ...]:
+        offered, held = self.starting_phasors(declared), self.hold == "zero_order"
+        return lines_beside_answer(self.time, self.signals, self.forces, offered, declared.readout, held=held)
 
     def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
         """Another `hold`, where the rows show it."""

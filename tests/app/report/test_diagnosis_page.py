@@ -16,9 +16,9 @@ from memsgyro_jax.base.text import beside, spoken
 from memsgyro_jax.diagnosis.compare import judged
 from memsgyro_jax.diagnosis.findings import Accepted, Candidate, Stage
 from memsgyro_jax.diagnosis.fit import beside_case
+from memsgyro_jax.diagnosis.instrument_told import of_instrument
 from memsgyro_jax.diagnosis.optimum import optimise
 from memsgyro_jax.diagnosis.result import ONLY_IF, Diagnosis, validation_error
-from memsgyro_jax.diagnosis.sentence import of_instrument
 from memsgyro_jax.measurement.experiments import FrequencySweepRecord
 
 
