@@ -46,7 +46,7 @@ from memsgyro_jax.measurement.experiments.base import Experiment, RealNoise
 from memsgyro_jax.measurement.model import Model
 from memsgyro_jax.measurement.one_place import set_points
 
-from .row_groups import Place, RowGroups, together
+from .row_groups import Place, RowGroups, time_of, together
 
 
 SEVERAL, PARTS = 3, 12  # single sweeps from which a resonance may wander, and parts of its course at most
@@ -120,7 +120,7 @@ def _interference(case: Case, groups: "RowGroups") -> list[InterferingLine]:
     told = [
         (number, line.omega, 0.5 * (time[0] + time[-1]))
         for number, record in enumerate(case.records)
-        if (time := _time(record)) is not None
+        if (time := time_of(record)) is not None
         for line in record.interference(case)
         for _ in range(2 * case.channels)
     ]

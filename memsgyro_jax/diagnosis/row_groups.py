@@ -32,7 +32,7 @@ class RowGroups:
         pieces = [getattr(record, "sweeps", (slice(None),)) for record in case.records]
         places = [[(number, sweep) for sweep in range(len(p))] for number, p in enumerate(pieces)]
         phasor = [np.iscomplexobj(record.readings) for record in case.records]
-        times = [_time(record) for record in case.records]
+        times = [time_of(record) for record in case.records]
         clocked = [t is not None and wave for t, wave in zip(times, phasor, strict=True)]
         timed = [set(own) for own, mine in zip(places, clocked, strict=True) if mine]
         stepped = [
@@ -104,6 +104,7 @@ def _level(record: AbstractRecord, piece: slice) -> float:
     return 0.0 if drive is None else float(np.mean(drive[piece]))
 
 
-def _time(record: AbstractRecord) -> np.ndarray | None:
+def time_of(record: AbstractRecord) -> np.ndarray | None:
+    """The clock of the rows of a record [s]; `None` where it has none that runs."""
     time = getattr(record, "time", None)
     return time if time is not None and len(time) > 1 and time[-1] > time[0] else None
