@@ -8,9 +8,10 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from .declared import Readout
 from .experiments.base import Phasors
 from .phasor_fit import device_of_phasors
-from .standing_line import StandingLine, standing_lines
+from .standing_line import StandingLine, standing_lines, without_lines
 
 
+MUCH = 2.0  # times the noise
 RINGS, LONGEST = 8.0, 4.0  # time constants, and lengths of the record, over which it rings on behind the rows
 
 
@@ -41,14 +42,18 @@ def linear_answer(
 
 
 def lines_beside_answer(
-    time: np.ndarray, signals: np.ndarray, forces: np.ndarray, offered: Phasors | None, readout: Readout, *, held: bool
-) -> tuple[StandingLine, ...]:
+    time: np.ndarray, signals: np.ndarray, forces: np.ndarray, offered: Phasors | None, readout: Readout, *, held: bool,
+    noise: float,
+) -> tuple[StandingLine, ...]:  # fmt: skip
     """Lines in readings (n, channels) at even times [s] beside what the linear device of their own phasors, which they
-    `offered`, answers to the forces (n, axes) [N]; none where they tell none.
+    `offered`, answers to the forces (n, axes) [N]; none where they tell none, nor where more than `MUCH` times the
+    `noise` is left beside them, as a device that is not linear answers with lines of its own.
     """
     device = None if offered is None else device_of_phasors([offered])
     if device is None:
         return ()
     left = signals - linear_answer(device, readout, forces, (time[-1] - time[0]) / (len(time) - 1), held=held)
     decay = float(np.min(np.linalg.eigvalsh(device.damping_matrix))) / 2
-    return standing_lines(time, left, device.resonances(), decay, forces)
+    found = standing_lines(time, left, device.resonances(), decay, forces)
+    rest = without_lines(time, left, found)
+    return found if np.sqrt(np.mean(rest**2)) <= MUCH * noise else ()

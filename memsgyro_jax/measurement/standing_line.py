@@ -1,5 +1,6 @@
 """Lines that stand in a record beside what the device does: of the mains, of another instrument."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -82,6 +83,12 @@ def standing_lines(
     size = np.abs(_phasors(time, signals, found)[0])
     order = np.argsort(-size.max(axis=1, initial=0.0))[:MOST]
     return tuple(StandingLine(float(found[k]), tuple(map(float, size[k]))) for k in order)
+
+
+def without_lines(time: np.ndarray, signals: np.ndarray, lines: Sequence[StandingLine]) -> np.ndarray:
+    """Rows (n, channels) without lines that were found in them."""
+    omega = np.array([line.omega for line in lines])
+    return signals - _drawn(time, _phasors(time, signals, omega)[0], omega, signals) if lines else signals
 
 
 def _periodogram(time: np.ndarray, signals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -157,6 +157,7 @@ def test_another_order_is_tried_where_the_first_explains_most(monkeypatch, left,
     monkeypatch.setattr(nuisances, "instrument_alone", lambda *_: next(alone))
     monkeypatch.setattr(nuisances, "cost", lambda optimum: optimum.chi2)
     monkeypatch.setattr(nuisances, "_beside", go_on)
+    monkeypatch.setattr(nuisances, "wander_at_last", lambda *_: [])
     end, _, rival = nuisances.instrument_first(search(1000.0), None, (), go_on, lambda search: False)
     assert len(made) == searches
     assert (end, rival) == (made[-1], "")

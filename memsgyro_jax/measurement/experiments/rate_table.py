@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import equinox as eqx
@@ -21,9 +20,8 @@ from ..held_noise import noise_beside_steps
 from ..rate_nodes import RateNodes
 from ..rate_signs import fast_rates, turned_rate
 from ..section import ExperimentSection, ToneSection
-from ..standing_line import StandingLine, standing_lines
 from .base import CartesianNoise, Phasors, Readings, surroundings
-from .clocked import CONDITIONS, ClockedRecord, lines_told, surroundings_told
+from .clocked import CONDITIONS, ClockedRecord, surroundings_told
 from .deviation import Deviation, Known, Series, Variable, by_setting, in_phase, segments
 from .missing_force import RateResidual, residual_over_rate
 from .rate_blocks import RateTable
@@ -201,23 +199,8 @@ class RateTableRecord(ClockedRecord):
         weight = np.sqrt(np.sum(still)) * abs(readout.scale) * self.drive_frequency**readout.order / self.noise_level
         return Phasors(np.array([self.drive_frequency]), motion, force + 0j, np.array([weight]))
 
-    @property
-    def reference_frequency(self) -> float:
-        """Frequency of the lock-in's reference [rad/s]."""
-        return self.drive_frequency
-
-    def interference(self, declared: Declared) -> tuple[StandingLine, ...]:
-        return () if self.uneven else self._standing
-
-    @cached_property
-    def _standing(self) -> tuple[StandingLine, ...]:
-        """Lines beside what goes with the rate, and its slope, at once."""
-        known = np.stack([np.ones(self.rows), self.rate, self.slope], axis=1) + 0j
-        left = self.phasors - known @ np.linalg.lstsq(known, self.phasors)[0]
-        return standing_lines(self.time, left, np.zeros(1), np.inf, self.rate[:, None])
-
     def warnings(self, declared: Declared) -> list[str]:
-        return [*super().warnings(declared), *lines_told(self, declared), *fast_rates(self.name, self.rate)]
+        return [*super().warnings(declared), *fast_rates(self.name, self.rate)]
 
     def beside_device(self, device: NormalisedDevice, declared: Declared) -> list[str]:
         if declared.channels < 2 or len(self.channels) < 2:

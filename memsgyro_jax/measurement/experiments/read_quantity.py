@@ -19,6 +19,11 @@ class ShownQuantity(NamedTuple):
     told: str = ""
     of_hold: str = ""
 
+    @property
+    def said(self) -> str:
+        """The sentence to say: that on the quantity, where there is one."""
+        return self.told or self.of_hold
+
 
 def better_quantity(nearest_hold: Callable[[Declared], NearestHold], declared: Declared) -> ShownQuantity:
     """Another quantity of the read-out, where the rows of a record lie far nearer to a device then, whichever way its

@@ -321,8 +321,9 @@ class TimeRecord(WaveformRecord):
         return whole - derivatives(steeper * crossed, omega, self.period)[0]
 
     def standing_lines(self, declared: Declared) -> tuple[StandingLine, ...]:
-        offered, held = self.starting_phasors(declared), self.hold == "zero_order"
-        return lines_beside_answer(self.time, self.signals, self.forces, offered, declared.readout, held=held)
+        noise, held = self.noise_std or self.estimated_noise() or 0.0, self.hold == "zero_order"
+        known = self.time, self.signals, self.forces, self.starting_phasors(declared), declared.readout
+        return lines_beside_answer(*known, held=held, noise=noise)
 
     def better_keys(self, declared: Declared) -> tuple[dict[str, Any], str]:
         """Another `hold`, where the rows show it."""
@@ -337,9 +338,8 @@ class TimeRecord(WaveformRecord):
         return better_quantity(self.nearest_hold, declared)[:2]
 
     def warnings(self, declared: Declared) -> list[str]:
-        shown = better_quantity(self.nearest_hold, declared)
-        told = shown.told or shown.of_hold
-        return [*super().warnings(declared), *([f"`{self.name}`: {told}."] if told else [])]
+        said = better_quantity(self.nearest_hold, declared).said
+        return [*super().warnings(declared), *([f"`{self.name}`: {said}."] if said else [])]
 
     def watched(self, noise: np.ndarray) -> list[Watched]:
         inputs = [self.in_time(f"the input {name}", column) for name, column in zip("xy", self.forces.T, strict=False)]
