@@ -58,13 +58,16 @@ def offered(signals, forces):
     return Phasors(omega[near], motion, force[near], np.full(near.sum(), 1.0), slope=slope, bend=bend)
 
 
-def found(forces, lines, cubic=0.0):
+def found(forces, lines, cubic=0.0, known=1e-3):
+    """Lines (frequency: size) in a record of which the noise is `known`, over its size."""
     signals = stepped(forces, cubic)[:, :2]
     size = np.std(signals)
     for hertz, part in lines.items():
         signals = signals + part * size * np.cos(2 * np.pi * hertz * TIME + hertz)[:, None] * [1.0, 0.4]
     signals = signals + noise(2, 1e-3 * size)
-    told = lines_beside_answer(TIME, signals, forces, offered(signals, forces), Readout(1.0), held=True)
+    told = lines_beside_answer(
+        TIME, signals, forces, offered(signals, forces), Readout(1.0), held=True, noise=known * size
+    )
     return {line.omega / 2 / np.pi: line.amplitude[0] / size for line in told}
 
 
@@ -90,4 +93,11 @@ TONES = np.cos(2 * np.pi * 3900.0 * TIME)[:, None] * [1.0, 0.0] + np.cos(2 * np.
 def test_a_stiff_spring_makes_no_line(forces, cubic):
     """Nor do the harmonics that it makes of tones; the spring is given by how much of its force it adds at most."""
     most = np.abs(stepped(forces)[:, 0]).max()
-    assert found(forces, {}, cubic * OMEGA[0] ** 2 / float(DEVICE.mobility) / most**2) == {}
+    assert found(forces, {}, cubic * OMEGA[0] ** 2 / float(DEVICE.mobility) / most**2, known=np.inf) == {}
+
+
+def test_beside_much_that_is_no_line_none_is_told():
+    """Of a benchmark's stiff circuit under many tones eight lines were told, which it answers with itself."""
+    lines = {50.0: 0.02, 4400.0: 5e-3}
+    assert found(CHIRP, lines, known=0.6e-3)
+    assert found(CHIRP, lines, known=0.4e-3) == {}
