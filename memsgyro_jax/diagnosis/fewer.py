@@ -29,7 +29,7 @@ from .search import CONFUSED, WORTH_A_LOOK, Search, SearchStep, always_free
 
 
 SHARE = 0.2  # of the level for terms of the instrument
-MOST = 0.5  # of the misfit beyond noise, which what comes late as a whole must take
+MOST = 0.5  # of the misfit beyond noise, which must go with what comes late as a whole, or the lock-in's filter
 SAME = 0.1  # of χ²: two fits that differ by less are one
 
 
@@ -127,7 +127,7 @@ def as_late(search: Search) -> Search:
     A late read-out of many periods is found by no step from none: its angle has turned often before its slope shows,
     and what leaks past the device is turned as well.
     """
-    effects, own = search.joint.model.effects, len(search.given)
+    effects = search.joint.model.effects
     present = [effects[i] for i in (*search.given, *search.accepted)]
     late = [t for t in every_term(search.case) if isinstance(t, LateReadings)]
     if not late or any(isinstance(effect, ReadoutDelay | LateReadings) for effect in present):
@@ -138,18 +138,27 @@ def as_late(search: Search) -> Search:
     offer = promised(search.optimum, offers_of(search.steps[-1].fit, late), SHARE * search.level)
     if not offer.chosen or BEYOND_LINEAR * offer.gain < MOST * missing:
         return search
-    model = search.joint.at(search.optimum.vector)
-    model = model.with_only((*model.effects[:own], *late, *model.effects[own:]))
+    out = with_given(search, late[0], search.optimum.vector)
+    if excess(out.optimum) > (1.0 - MOST) * missing:
+        return search
+    search.tell(f"added {late[0].label}: χ²/dof {out.optimum.chi2 / out.optimum.dof:.4g}")
+    return out
+
+
+def with_given(search: Search, term: InstrumentTerm, vector: np.ndarray) -> Search:
+    """The search to which a term of the instrument is given as well, behind those it was given, and fitted from a
+    vector of its parameters on.
+    """
+    own = len(search.given)
+    model = search.joint.at(vector)
+    model = model.with_only((*model.effects[:own], term, *model.effects[own:]))
     whole = Joint(model, search.joint.readings, search.joint.programs)
     accepted = [i + 1 for i in search.accepted]
     optimum = optimise(whole, whole.start, always_free(whole, (*range(own + 1), *accepted)), whole.fitted)
-    if excess(optimum) > (1.0 - MOST) * missing:
-        return search
-    search.tell(f"added {late[0].label}: χ²/dof {optimum.chi2 / optimum.dof:.4g}")
     out = Search(search.base, search.level, range(own + 1), search.tell)
     out.joint, out.optimum, out.accepted, out.keep = whole, optimum, accepted, search.keep
     out.own, out.looked = tuple(i + 1 for i in search.own), search.looked
-    out.steps = [*search.steps, SearchStep(late[0].label, beside_case(search.case, whole, optimum))]
+    out.steps = [*search.steps, SearchStep(term.label, beside_case(search.case, whole, optimum))]
     return out
 
 

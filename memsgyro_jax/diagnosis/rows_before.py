@@ -23,16 +23,15 @@ from memsgyro_jax.measurement.lock_in import until_now
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import BEYOND_LINEAR, excess
+from .fewer import MOST, SAME, with_given
 from .fit import beside_case
 from .instrument import filters_of, instrument_terms
 from .joint_residual import Joint
 from .optimum import optimise
 from .promise import offers_of, promised
-from .search import Ranking, Search, SearchStep, always_free
+from .search import Ranking, Search
 
 
-SAME = 0.1  # of χ²: two fits that differ by less are one
-MOSTLY = 0.5  # of the misfit beyond noise, which the filter must take
 SOME = (1, 4)  # poles, by which a lag is first looked for
 LAGS = np.geomspace(0.05, 8.0, 22)  # of the usual time between rows
 NEXT = float(np.log(LAGS[1] / LAGS[0]))  # from one of them to the next
@@ -53,32 +52,25 @@ def behind_filter(search: Search, ranking: Ranking) -> Search:
         return search
     terms, effects = filters_of(search.case), search.joint.model.effects
     present = [effects[i] for i in (*search.given, *search.accepted)]
-    missing, own = excess(search.optimum), len(search.given)
+    missing = excess(search.optimum)
     if not terms or missing <= 0 or any(isinstance(e, LockInEffect) and e.last for e in present):
         return search
     sought = _Sought.of(search)
     found = None if sought is None else sought.found(search, search.optimum.vector, _least(search, ranking))
     if found is None:
         return search
-    model = search.joint.at(found.vector)
-    model = model.with_only((*model.effects[:own], found.of(terms[0]), *model.effects[own:]))
-    whole = Joint(model, search.joint.readings, search.joint.programs)
-    accepted = [i + 1 for i in search.accepted]
-    optimum = optimise(whole, whole.start, always_free(whole, (*range(own + 1), *accepted)), whole.fitted)
-    if excess(optimum) > (1.0 - MOSTLY) * missing:
+    out = with_given(search, found.of(terms[0]), found.vector)
+    if excess(out.optimum) > (1.0 - MOST) * missing:
         return search
-    search.tell(f"added {terms[0].label}: χ²/dof {optimum.chi2 / optimum.dof:.4g}")
-    out = Search(search.base, search.level, range(own + 1), search.tell)
-    out.joint, out.optimum, out.accepted, out.keep = whole, optimum, accepted, search.keep
-    out.own, out.looked = tuple(i + 1 for i in search.own), search.looked
-    out.steps = [*search.steps, SearchStep(terms[0].label, beside_case(search.case, whole, optimum))]
+    search.tell(f"added {terms[0].label}: χ²/dof {out.optimum.chi2 / out.optimum.dof:.4g}")
     return out
 
 
 def with_poles_chosen(search: Search) -> None:
     """Give the filter that a search has as many poles as fit best beside the effects found since."""
-    place, sought = _place(search), _Sought.of(search)
-    if place is None or sought is None or (found := sought.found(search, search.without(place), -np.inf)) is None:
+    if (place := _place(search)) is None or (sought := _Sought.of(search)) is None:
+        return
+    if (found := sought.found(search, search.without(place), -np.inf)) is None:
         return
     model = search.joint.at(found.vector)
     effects = [found.of(effect) if i == place else effect for i, effect in enumerate(model.effects)]
@@ -105,7 +97,7 @@ def _least(search: Search, ranking: Ranking) -> float:
     terms = [term for term in rivals if term.label not in held]
     promise = promised(search.optimum, offers_of(search.steps[-1].fit, terms), search.level) if terms else None
     others = [0.0 if promise is None else max(promise.alone), *(score.statistic for score in ranking.scores)]
-    return max(MOSTLY * excess(search.optimum) / BEYOND_LINEAR, *others)
+    return max(MOST * excess(search.optimum) / BEYOND_LINEAR, *others)
 
 
 class _Found(NamedTuple):
@@ -116,7 +108,7 @@ class _Found(NamedTuple):
     poles: int
     vector: np.ndarray
 
-    def of(self, term: Effect) -> Effect:
+    def of(self, term: Any) -> Any:
         """The term of a filter, as this one."""
         numbers = np.array([self.tau]), jnp.asarray(float(self.poles))
         return eqx.tree_at(lambda t: (t.strength, t.poles), term, numbers)
