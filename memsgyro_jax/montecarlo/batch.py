@@ -1,5 +1,6 @@
 """What a sweep computes of each die, inside the compiled run."""
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -156,27 +157,40 @@ def run_batch(
     plan: Plan,
     mesh: Mesh,
     lanes: int,
+    groups: int | np.ndarray,
 ) -> dict[str, Float[Array, "dies ..."]]:
-    """The rows of a batch of dies, split evenly over the devices of `mesh` and run `lanes` at a time; dies lead."""
+    """The rows of a batch of dies, split evenly over the devices of `mesh` and run `lanes` at a time; dies lead.
+
+    Of each device's dies only the first `groups` times `lanes` are run, the rest are zero: one program for any number.
+    """
     dynamic, static = eqx.partition((loop, scenario, words), eqx.is_array)
     plain = (*design, jax.tree.map(lambda word: word[0], words))
     varies = differs(dynamic, eqx.filter(plain, eqx.is_array))
 
+    @functools.partial(jax.jit, inline=True)  # traced once for both shapes and values
     def group(dynamic):
         loop, scenario, words = eqx.combine(dynamic, static)
         rows = rows_of(loop, scenario, design, words, plan)
         return {name: jnp.moveaxis(value, -1, 0) for name, value in rows.items()}
 
-    def part(dynamic):
+    def part(dynamic, groups):
         # Always the same number of dies side by side: the compiler rounds differently for every vector length.
         varied, common = eqx.partition(dynamic, varies)
-        groups = jax.tree.map(lambda v: jnp.moveaxis(v.reshape((*v.shape[:-1], -1, lanes)), -2, 0), varied)
-        rows = jax.lax.map(lambda chosen: group(eqx.combine(chosen, common)), groups)
+        each = jax.tree.map(lambda v: jnp.moveaxis(v.reshape((*v.shape[:-1], -1, lanes)), -2, 0), varied)
+
+        def run(number):
+            return group(eqx.combine(jax.tree.map(lambda v: v[number], each), common))
+
+        most = words[0].size // (mesh.size * lanes)
+        nothing = jax.tree.map(lambda one: jnp.zeros((most, *one.shape), one.dtype), jax.eval_shape(run, 0))
+        put = lambda number, rows: jax.tree.map(lambda all_, one: all_.at[number].set(one), rows, run(number))  # noqa: E731
+        rows = jax.lax.fori_loop(0, groups, put, nothing)
         return jax.tree.map(lambda v: v.reshape((-1, *v.shape[2:])), rows)
 
-    return jax.shard_map(part, mesh=mesh, in_specs=(shares(dynamic, varies),), out_specs=P(DIE_AXIS), check_vma=False)(
-        dynamic
+    split = jax.shard_map(
+        part, mesh=mesh, in_specs=(shares(dynamic, varies), P()), out_specs=P(DIE_AXIS), check_vma=False
     )
+    return split(dynamic, jnp.asarray(groups))
 
 
 _compiled = eqx.filter_jit(run_batch)

@@ -31,8 +31,9 @@ from .store import Memory, Store
 
 
 WINDOWS = 100  # at most about this many window means of the rate are kept per die, however long the run
-CHUNKS_PER_BLOCK = 8
+CHUNKS_PER_BLOCK, MORE_IN_BLOCKS = 8, 4
 STEPS_PER_CALL = 20_000_000  # of one device, sample by sample: some seconds on a core
+SAMPLES_PER_BLOCK = 200_000_000  # of a larger block of dies: as many seconds
 
 
 @dataclass(frozen=True)
@@ -57,49 +58,53 @@ class Runner:
         return side_by_side(self.mesh.devices.flat[0].platform)
 
     def work(self, store: Store | Memory, dies: int, progress: Callable[[int, int], None] | None) -> float | None:
-        """Compute the blocks that a store wants, while the devices are at one of them drawing the next; gives steps per
-        second after the first batch.
+        """Compute the blocks that a store wants, while the devices are at one of them judging and writing the last and
+        drawing the next; gives steps per second after the first call.
         """
-        timed, busy, drawn, wanted = 0, None, dict[int, _Drawn](), set(store.missing)
+        drawn, wanted, last, pace = dict[int, _Drawn](), set(store.missing), None, _Pace()
+        told = (lambda done: progress(min(done, store.wanted), store.wanted)) if progress else lambda done: None
+        if wanted:
+            told(store.done)
         # A compiled call waits for its end (Equinox looks for errors then), in a thread of its own.
         devices = ThreadPoolExecutor(1)
-        if progress and wanted:
-            progress(store.done, store.wanted)
         try:
             for number in store.unfinished():
-                parts, done, began = [], store.done, time.perf_counter()
-                given = drawn.pop(number, None) or self._drawn(number, dies)
-                batches = [(devices.submit(self._run, given, p), p, chosen) for p, chosen in self._batches(given, dies)]
-                drawn = {number + 1: self._drawn(number + 1, dies)} if number + 1 in wanted else {}
-                for found, places, chosen in batches:
-                    rows = self._judged(given, places, found.result())
-                    parts.append({name: value[chosen] for name, value in rows.items()})
-                    done = min(done + len(chosen), store.wanted)
-                    if progress:
-                        progress(done, store.wanted)
-                    if busy is None:  # the first batch compiles
-                        busy, began = 0.0, time.perf_counter()
-                    else:
-                        timed += len(chosen)
-                store.write(number, {name: _joined([part[name] for part in parts]) for name in parts[0]})
-                busy = (busy or 0.0) + time.perf_counter() - began
+                pace.start()
+                given = None if number is None else drawn.pop(number, None) or self._drawn(number, dies)
+                calls = [(call, devices.submit(self._run, given, call)) for call in self._calls(given)] if given else []
+                if last:
+                    store.write(last[0], self._rows(*last[1:]))
+                    told(store.done)
+                found, done = [], store.done
+                if number is not None and number + 1 in wanted:
+                    drawn = {number + 1: self._drawn(number + 1, dies)}
+                for call, running in calls:
+                    found.append((call, running.result()))
+                    pace.count(len(call.chosen))
+                    done += len(call.chosen)
+                    if len(found) < len(calls):
+                        told(done)
+                last = None if number is None else (number, given, found)
+                pace.stop()
         finally:
             devices.shutdown(cancel_futures=True)
-        return timed * self.plan.samples / busy if busy and timed else None
+        return pace.dies_per_second and pace.dies_per_second * self.plan.samples
 
     @property
     def block(self) -> int:
-        """Dies in a block."""
-        return self.chunk * CHUNKS_PER_BLOCK
+        """Dies in a block: more of them where a call takes so short that what lies between two counts."""
+        few = self.chunk * CHUNKS_PER_BLOCK
+        short = self.loop.blocks is not None and MORE_IN_BLOCKS * few * self.plan.samples <= SAMPLES_PER_BLOCK
+        return MORE_IN_BLOCKS * few if short else few
 
-    def _together(self, dies: int) -> int:
-        """Chunks in a batch: all of a block of dies, as what lies between two calls keeps the devices waiting; fewer
-        where a call would take long.
+    @property
+    def _together(self) -> int:
+        """Chunks of each device in a call: its share of a block, as what lies between two calls keeps the devices
+        waiting; fewer where a call would take long.
         """
-        each = -(-min(dies, self.block) // (self.chunk * self.mesh.size))
+        each = -(-self.block // (self.chunk * self.mesh.size))
         steps = 0 if self.loop.blocks is not None else self.plan.samples * self.chunk
-        calls = min(each, -(-each * steps // STEPS_PER_CALL) or 1)
-        return self.mesh.size * -(-each // calls)
+        return -(-each // min(each, -(-each * steps // STEPS_PER_CALL) or 1))
 
     def _drawn(self, block: int, dies: int) -> "_Drawn":
         """The dies of a block, up to its end or `dies`: drawing for every batch took a sixth of the time."""
@@ -110,26 +115,37 @@ class Runner:
         keyed = jnp.asarray(self.spread.noise(numbers))
         return _Drawn(drawn, jax.tree.map(np.asarray, noise.die_words(jax.random.key(self.seed), keyed)))
 
-    def _batches(self, given: "_Drawn", dies: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """The places of a batch's dies in their block, and which of these are wanted, batch by batch."""
-        count = len(given.words[0])
-        chunks, together = -(-count // self.chunk), self._together(dies)
-        for first in range(0, chunks, together):
-            some = min(chunks - first, together)
-            # A last batch that does not fill the devices repeats its last chunk: one shape, one compilation.
-            batch = [first + min(n, some - 1) for n in range(together)]
-            # A chunk that does not fill the lanes repeats its last die.
-            inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
-            places = np.concatenate([n * self.chunk + inside for n in batch])
-            chosen = np.concatenate([n * len(inside) + np.arange(self.chunk) for n in range(some)])
-            yield np.minimum(places, count - 1), chosen
+    def _calls(self, given: "_Drawn") -> Iterator["_Call"]:
+        """The dies of a block, call by call; the devices take turns at its chunks."""
+        count, size, most = len(given.words[0]), self.mesh.size, self._together
+        # A chunk that does not fill the lanes repeats its last die.
+        inside = np.minimum(np.arange(-(-self.chunk // self.lanes) * self.lanes), self.chunk - 1)
+        chunks = -(-count // self.chunk)
+        for first in range(0, chunks, most * size):
+            some = min(chunks - first, most * size)
+            turns = -(-some // size)
+            numbers = np.minimum(np.arange(most)[None] * size + np.arange(size)[:, None], some - 1).ravel()
+            places = ((first + numbers)[:, None] * self.chunk + inside).ravel()
+            where = np.arange(some) % size * most + np.arange(some) // size
+            chosen = (where[:, None] * len(inside) + np.arange(self.chunk)).ravel()
+            chosen = chosen[: count - first * self.chunk]
+            yield _Call(np.minimum(places, count - 1), chosen, turns * (len(inside) // self.lanes))
 
-    def _run(self, given: "_Drawn", places: np.ndarray) -> dict[str, np.ndarray]:
+    def _run(self, given: "_Drawn", call: "_Call") -> dict[str, np.ndarray]:
         design, drawn = (self.loop, self.scenario), given.draw
-        loop, scenario = lot.picked((drawn.loop, drawn.scenario), design, places)
-        chosen = tuple(word[places] for word in given.words)
-        rows = lot.compiled_for(self.mesh)(loop, scenario, design, chosen, self.plan, self.mesh, self.lanes)
+        loop, scenario = lot.picked((drawn.loop, drawn.scenario), design, call.places)
+        words = tuple(word[call.places] for word in given.words)
+        run = lot.compiled_for(self.mesh)
+        rows = run(loop, scenario, design, words, self.plan, self.mesh, self.lanes, np.asarray(call.groups))
         return jax.tree.map(np.asarray, rows)
+
+    def _rows(self, given: "_Drawn", found: list[tuple["_Call", dict[str, np.ndarray]]]) -> dict[str, np.ndarray]:
+        """Of the dies of a block, whose calls have ended."""
+        parts = []
+        for call, rows in found:
+            wanted = {name: value[call.chosen] for name, value in rows.items()}
+            parts.append(self._judged(given, call.places[call.chosen], wanted))
+        return {name: _joined([part[name] for part in parts]) for name in parts[0]}
 
     def _judged(self, given: "_Drawn", places: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The rows of a batch that was run."""
@@ -175,6 +191,39 @@ class _Drawn(NamedTuple):
 
     draw: Draw
     words: tuple[np.ndarray, ...]
+
+
+class _Call(NamedTuple):
+    """Dies that run in one call: the `places` in their block of all that lie side by side, which of these are `chosen`
+    in order, and how many `groups` of lanes each device runs.
+    """
+
+    places: np.ndarray
+    chosen: np.ndarray
+    groups: int
+
+
+class _Pace:
+    """How fast dies are computed once the first call, which compiles, has ended; what others are waited for apart."""
+
+    def __init__(self) -> None:
+        self._spent, self._began, self._compiled, self._dies = 0.0, 0.0, None, 0
+
+    def start(self) -> None:
+        self._began = time.perf_counter()
+
+    def stop(self) -> None:
+        self._spent += time.perf_counter() - self._began
+
+    def count(self, dies: int) -> None:
+        if self._compiled is None:
+            self._compiled = self._spent + time.perf_counter() - self._began
+        else:
+            self._dies += dies
+
+    @property
+    def dies_per_second(self) -> float | None:
+        return self._dies / (self._spent - self._compiled) if self._dies else None
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:

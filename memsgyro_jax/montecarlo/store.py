@@ -75,11 +75,12 @@ class Store:
         """How many dies the share has."""
         return min(self.share.stop * self.stored.block, self.stored.dies) - self.share.start * self.stored.block
 
-    def unfinished(self) -> Iterator[int]:
+    def unfinished(self) -> Iterator[int | None]:
         """Numbers of the blocks that this process is to compute and `write`, until all of the share are done.
 
-        Blocks that other processes compute are waited for, and taken over from those that die; so is the packing of the
-        shards, so that what ends here is a zarr group as anything reads it.
+        Each may be written while the next is computed already; `None` asks for the last one before others are waited
+        for. Blocks that other processes compute are waited for, and taken over from those that die; so is the packing
+        of the shards, so that what ends here is a zarr group as anything reads it.
         """
         waiting, leases = self.missing, self._leases
         if leases is None:
@@ -88,15 +89,22 @@ class Store:
                 raise InputError(f"{self.path} lacks {lacks} dies, but its folder cannot be written to; copy it.")
             return
         while waiting:
-            before = len(waiting)
-            for number in list(waiting):
+            last = None
+            for number in waiting:
                 # Looked for again once it is claimed: somebody may have written it just before.
                 if not self._found(number) and leases.claim(number):
-                    if not self._found(number):
-                        yield number
-                    leases.release(number)
-                if self._done[number]:
-                    waiting.remove(number)
+                    if self._found(number):
+                        leases.release(number)
+                        continue
+                    yield number
+                    if last is not None:
+                        leases.release(last)
+                    last = number
+            if last is not None:
+                if not self._done[last]:
+                    yield None
+                leases.release(last)
+            before, waiting = len(waiting), [number for number in waiting if not self._done[number]]
             if len(waiting) == before:
                 time.sleep(_POLL)
         stored = self.stored
@@ -233,9 +241,10 @@ class Memory:
         """The blocks that are not there."""
         return [number for number in range(-(-self.wanted // self._block)) if number not in self._kept]
 
-    def unfinished(self) -> Iterator[int]:
-        """Numbers of the blocks to be computed and written, one after another."""
+    def unfinished(self) -> Iterator[int | None]:
+        """As of a `Store`."""
         yield from self.missing
+        yield None
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
         """Keep block `number`."""

@@ -138,7 +138,8 @@ def measure(options: argparse.Namespace, cache: str, accelerator: str) -> tuple[
             ours[name] = start(*many, *extra, cores=1, cache=cache, platform=accelerator)
     four = ("--dies", str(options.dies), "--duration", str(4.0 * options.duration), "--repeat", "0")
     ours["four_times_the_steps"] = start(*four, cores=1, cache=cache)
-    ours["cost_of_effects"] = start(*job, "--effects", cores=1, cache=cache)
+    fewer = ("--dies", str(-(-options.dies // 4)), *job[2:])
+    ours["cost_of_effects"] = start(*fewer, "--effects", cores=1, cache=cache)
     return ours, {name: max(values) for name, values in yardsticks.items()}
 
 
@@ -193,7 +194,7 @@ def accelerator_of_jax() -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--yardstick", type=Path, help="folder with a run.py to compare with")
-    parser.add_argument("--dies", type=int, default=256)
+    parser.add_argument("--dies", type=int, default=1024)
     parser.add_argument("--duration", type=float, default=0.1, help="of each die's run, in s")
     parser.add_argument("--many", type=int, default=8192, help="dies on an accelerator")
     parser.add_argument("--repeat", type=int, default=5, help="timed sweeps per process; the fastest counts")

@@ -93,6 +93,22 @@ def test_a_store_is_gone_on_with_and_grows(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["dies.zarr"], "no lease, no draft"
 
 
+def test_a_block_may_be_written_while_the_next_is_computed(tmp_path):
+    """Written late by one, none is given twice, the last is asked for, and what is done is given up."""
+    path, computed, last = tmp_path / "dies.zarr", [], None
+    with opened(path, LAYOUT, DIES, BLOCK, resume=False) as store:
+        for number in store.unfinished():
+            computed.append(number)
+            held = {file.name.split(".")[0] for file in store._leases.folder.glob("?.?")}
+            assert held == {str(n) for n in (number, last) if n is not None}
+            if last is not None:
+                store.write(last, rows_of(last))
+            last = number
+        assert not list(store._leases.folder.glob("?.?"))
+        assert_wanted(store.rows)
+    assert computed == [0, 1, 2, None]
+
+
 def test_a_finished_store_is_read_where_nothing_can_be_written(broken, monkeypatch):
     def refused(*_, **__):
         raise OSError(30, "Read-only file system")
