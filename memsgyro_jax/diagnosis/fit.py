@@ -18,6 +18,7 @@ from memsgyro_jax.device.resonator import Resonator
 from memsgyro_jax.effects import InstrumentTerm
 from memsgyro_jax.effects.base import Effect
 from memsgyro_jax.measurement.case import AbstractRecord, Case
+from memsgyro_jax.measurement.case.quality import contradictions
 from memsgyro_jax.measurement.experiments import Deviation
 from memsgyro_jax.measurement.experiments.missing_force import MissingForce
 from memsgyro_jax.measurement.least_squares import above, gate
@@ -260,8 +261,7 @@ def fit(
         effects: beside those of the model or device; their numbers start at the values they carry.
         fixed: names of parameters that keep their value, as a fit prints them: `"1/m"`, `"stop x gap"`.
 
-    **Raises:** `InputError` in float32, where an effect or the device does not suit the case, or for a name that is no
-    parameter.
+    **Raises:** `InputError` as `fit_case`.
     """
     whole = model if isinstance(model, Model) or model is None else model_of(case, model)
     if whole is not None:
@@ -288,8 +288,10 @@ def fit_case(
         fixed: names of parameters that keep their value.
         left_out: rows that are neither fitted nor compared.
 
-    **Raises:** `InputError` in float32, where an effect does not suit the device, or for a name that is no parameter.
+    **Raises:** `InputError` in float32, where an effect does not suit the device, for a name that is no parameter, or
+    where sweeps contradict each other in the sign or in which axis is which.
     """
+    contradictions(case)
     base = model if model is not None else model_of(case, starting_device(case))
     for effect in effects:
         check_effect(effect, base.axes)

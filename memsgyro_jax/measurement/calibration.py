@@ -70,7 +70,8 @@ def unit_of_records(declared: Declared, unit: str) -> str:
     if unit == "1/kg":
         return f"{length}/({force}·s²)"
     told = {"m": length, "N": force, "kg": f"({force}·s²/{length})", "W": f"({force}·{length}/s)"}
-    return re.sub(r"[A-Za-z]+", lambda word: told.get(word[0], word[0]), unit)
+    named = re.sub(r"[A-Za-z]+", lambda word: told.get(word[0], word[0]), unit)
+    return re.sub(r"/1[²³]?(?![\d·])|(?<=\()1·", "", named)  # readings without a unit
 
 
 def units_of_records(declared: Declared) -> str:

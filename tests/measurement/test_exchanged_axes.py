@@ -87,8 +87,10 @@ def test_what_contradicts_itself_is_not_searched(turn, said, tmp_path):
     assert contradictions(mg.load_case(wrote(tmp_path, told))) == ()
     name, one = told[1]
     told[1] = name, one._replace(motion=np.ascontiguousarray(turn(one.motion)))
-    with pytest.raises(InputError, match=f"{said}.*put that right first"):
-        mg.diagnose(None, mg.load_case(wrote(tmp_path, told)))
+    case = mg.load_case(wrote(tmp_path, told))
+    for asked in (mg.diagnose, mg.fit, mg.compare):
+        with pytest.raises(InputError, match=f"{said}.*put that right first"):
+            asked(None, case)
 
 
 def test_sweeps_with_exchanged_channels_are_refused_before_they_are_fitted(tmp_path):
