@@ -54,24 +54,27 @@ def import_command(
     from memsgyro_jax.measurement.import_case import import_case
 
     from .options import require_writable
+    from .progress import told
 
     require_writable(json)
     # Without what kept a dash from an option.
     levels, maps, tuned = [level.strip() for level in drive], [one.strip() for one in map_], reference.strip()
     held = {"bias": [one.strip() for one in bias], "temperature": [one.strip() for one in temperature]}
-    result = import_case(
-        files,
-        out,
-        columns=maps,
-        drive=levels,
-        axis=[one.strip() for one in axis],
-        reference=tuned,
-        sample_rate=sample_rate.strip(),
-        **held,
-        every=every,
-        rms=rms,
-        overwrite=overwrite,
-    )
+    with told() as tell:
+        tell(f"reading {len(files)} file{'s' * (len(files) > 1)}, and what device their records show")
+        result = import_case(
+            files,
+            out,
+            columns=maps,
+            drive=levels,
+            axis=[one.strip() for one in axis],
+            reference=tuned,
+            sample_rate=sample_rate.strip(),
+            **held,
+            every=every,
+            rms=rms,
+            overwrite=overwrite,
+        )
     print(result)
     if not result.warning:
         print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")
