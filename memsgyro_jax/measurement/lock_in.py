@@ -10,11 +10,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Complex, Float, Int
 
 from memsgyro_jax.base.few_at_a_time import over_rows
-from memsgyro_jax.base.linalg import exponential, inverse
+from memsgyro_jax.base.linalg import exponential, inverse, product
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, LockInRow, UntilNow
 
+from .bent_transient import Bent, BentRow
 from .model import Model
+
+
+PARTS = 12  # of a row of a bent resonance as a filter sees it
 
 
 class RowsBefore(NamedTuple):
@@ -39,6 +43,7 @@ def through_lock_in(
     dwell: Float[Array, " n"] | None = None,
     unsettled: Float[Array, " n"] | None = None,
     rows_before: RowsBefore | None = None,
+    bent: Bent | None = None,
 ) -> Complex[Array, "n axes"]:
     """Phasors [V] as the lock-in gives them; `frequency`, `force` and `conditions` may hold for all rows.
 
@@ -46,6 +51,7 @@ def through_lock_in(
         dwell: time since the row before [s], infinite where none is known; `None` where it is known of no row.
         unsettled: one for rows that were read before they had settled, zero for the others; `None` where all had.
         rows_before: each row; `None` where they stand alone, and effects that remember have nothing to remember.
+        bent: the settled states, of a device that is not linear; `None` where rows ring down as the linear device does.
     """
     effects = [effect for effect in bench.effects if isinstance(effect, LockInEffect)]
     remembers = rows_before is not None and any(effect.remembers for effect in effects)
@@ -55,21 +61,42 @@ def through_lock_in(
 
     first, last = ([effect for effect in effects if effect.last is last] for last in (False, True))
 
-    def shown(values: Array, conditions: Conditions, apart: Array, row: LockInRow) -> tuple[Array, LockInRow]:
+    def bends(bent: Bent, row: LockInRow, conditions: Conditions, state: Array) -> BentRow:
+        still = jnp.zeros_like(row.before)
+        turned = _acted(first, still + 1.0, row) - _acted(first, still, row)
+        return BentRow.of(bench, row, conditions, state, bent.fineness, turned)
+
+    def shown(
+        values: Array, conditions: Conditions, apart: Array, row: LockInRow, state: Array | None
+    ) -> tuple[Array, LockInRow]:
         if clocked:
             own = _ring_down(bench, row.frequency, conditions, row.dwell)
             row = dataclasses.replace(row, **dict(zip(("dwell", "decay", "left"), own, strict=True)))
         values = _acted(first, values, row)
-        rings = clocked and not remembers
-        return values + apart * (row.left @ (row.before - values)) if rings else values, row
+        if not clocked or remembers:
+            return values, row
+        away = row.before - values
+        if bent is None or state is None:
+            return values + apart * (row.left @ away), row
+        return values + bends(bent, row, conditions, state).course(away, apart * row.dwell)[-1], row
 
     rows = _rows(frequency, force, before, conditions, dwell)
     apart = jnp.zeros(len(phasors)) if unsettled is None else unsettled
-    values, rows = jax.vmap(shown)(phasors, conditions.rows(len(phasors)), apart, rows)
+    around = conditions.rows(len(phasors))
+    told, states = (phasors, around, apart, rows), None if bent is None else bent.states
+    values, rows = jax.vmap(shown)(*told, None) if bent is None else over_rows(shown, *told, states)
     if not remembers:
         return jax.vmap(partial(_acted, last))(values, rows)
-    moved = until_now(bench, values, frequency, conditions, dwell, unsettled, rows_before)
-    return over_rows(partial(_acted, last), values, dataclasses.replace(rows, until_now=moved))
+    if bent is None:
+        moved = until_now(bench, values, frequency, conditions, dwell, unsettled, rows_before)
+        return over_rows(partial(_acted, last), values, dataclasses.replace(rows, until_now=moved))
+
+    course = BentCourse.of(values, rows, jax.vmap(partial(bends, bent))(rows, around, states), apart * rows.dwell)
+
+    def seen(values: Array, row: LockInRow, *before: Array) -> Array:
+        return _acted(last, values, dataclasses.replace(row, until_now=course.until_now(*before)))
+
+    return over_rows(seen, values, rows, *_before(rows_before))
 
 
 def until_now(
@@ -91,12 +118,54 @@ def until_now(
         rows = frequency, conditions.rows(count), dwell
         dwell, decay, left = jax.vmap(partial(_ring_down, bench))(*rows)
         _, ringing = jax.lax.scan(_began, values[0] + 0j, (values, left, unsettled * (dwell > 0)))
-    places = jnp.concatenate([jnp.arange(count)[:, None], before.rows], axis=1)
-    return UntilNow(
-        *(part[places] for part in (values, ringing, decay, left)),
-        began=jnp.pad(before.ages, ((0, 0), (0, 1)), constant_values=jnp.inf),
-        ended=jnp.pad(before.ages, ((0, 0), (1, 0))),
-    )
+    places, began, ended = _before(before)
+    return UntilNow(*(part[places] for part in (values, ringing, decay, left)), began=began, ended=ended)
+
+
+class BentCourse(NamedTuple):
+    """How a device that is not linear moved in rows (n, ...), in parts of each row that last as long: in each it goes
+    from its begin to its end as a linear device does that settles elsewhere. Fields as in `UntilNow`.
+    """
+
+    settled: Complex[Array, "n parts axes"]
+    ringing: Complex[Array, "n parts axes"]
+    decay: Complex[Array, "n parts axes axes"]
+    left: Complex[Array, "n parts axes axes"]
+
+    @classmethod
+    def of(cls, values: Array, rows: LockInRow, bends: BentRow, dwell: Float[Array, " n"]) -> "BentCourse":
+        """Of rows that settle to `values` [V] and begin where the row before ended; the `dwell` of one that settles at
+        once is zero.
+        """
+
+        def row(at: Array, given: tuple[Array, BentRow, Array]) -> tuple[Array, Array]:
+            settled, bend, dwell = given
+            away = jnp.concatenate([(at - settled)[None], bend.course(at - settled, dwell, PARTS)])
+            return settled + away[-1], away
+
+        _, away = jax.lax.scan(row, values[0] + 0j, (values, bends, dwell))
+        rings, one = (dwell > 0)[:, None, None], jnp.eye(values.shape[1])
+        step = rows.decay * rows.dwell[:, None, None] / PARTS
+        left = jnp.where(rings, jax.vmap(jnp.exp if len(one) == 1 else exponential)(-step), 0.0)
+        gone = product(jax.vmap(inverse)(one - left)[:, None], away[:, :-1] - away[:, 1:])
+        settled = values[:, None] + jnp.where(rings, away[:, :-1] - gone, 0.0)
+        decay, left = (jnp.repeat(part[:, None], PARTS, axis=1) for part in (rows.decay, left))
+        return cls(settled, jnp.where(rings, gone, 0.0), decay, left)
+
+    def until_now(self, places: Int[Array, " k"], began: Float[Array, " k"], ended: Float[Array, " k"]) -> UntilNow:
+        """Of rows at some places, which began and ended so long ago [s]."""
+        length = jnp.where(jnp.isfinite(began), began - ended, 0.0)[:, None]
+        edges = ended[:, None] + length * (1.0 - jnp.arange(PARTS + 1) / PARTS)
+        begins, ends = edges[:, :-1].at[:, 0].set(began), edges[:, 1:]
+        settled, ringing, decay, left = (part[places].reshape(-1, *part.shape[2:]) for part in self)
+        return UntilNow(settled, ringing, decay, left, began=begins.ravel(), ended=ends.ravel())
+
+
+def _before(before: RowsBefore) -> tuple[Array, Array, Array]:
+    """Places (n, k + 1) of each row and those before it, and how long ago they began and ended [s]."""
+    places = jnp.concatenate([jnp.arange(len(before.rows))[:, None], before.rows], axis=1)
+    began = jnp.pad(before.ages, ((0, 0), (0, 1)), constant_values=jnp.inf)
+    return places, began, jnp.pad(before.ages, ((0, 0), (1, 0)))
 
 
 def _began(at: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:

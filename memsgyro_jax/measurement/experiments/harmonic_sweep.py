@@ -18,6 +18,7 @@ from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
+from ..bent_transient import Bent
 from ..first_order import Contribution, Inquiry, Periods
 from ..lock_in import RowsBefore, before_lock_in, through_lock_in
 from ..model import Model
@@ -130,9 +131,10 @@ class HarmonicSweep(Experiment):
         settled, states = over_rows(row, *rows, None if added is None else added.forced[0])
         settled = settled if added is None else settled + added.seen
         before = self.measured if self.before is None else self.before
+        bent = None if self.unsettled is None or bench.is_linear else Bent(states, self.fineness)
         seen = through_lock_in(
             bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled,
-            self.rows_before,
+            self.rows_before, bent,
         )  # fmt: skip
         return seen, states
 
