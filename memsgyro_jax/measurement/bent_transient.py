@@ -26,14 +26,18 @@ class SlowMotion(eqx.Module):
     2iω·q' + D·q' = F + N(q) − (K − ω² + iωD)·q, with N(q) the fundamental of what is nonlinear. Other harmonics follow
     at once; states of effects keep the fundamental to which they settle.
 
-    But for q'' as `ring_down_matrix` is. Nayfeh and Mook, "Nonlinear Oscillations" (1979), section 2.3: averaging.
+    But for q'', as `ring_down_matrix` is; `Driven`, which has it and all harmonics in time, takes ten times as many
+    steps. Nayfeh and Mook, "Nonlinear Oscillations" (1979), section 2.3: averaging.
 
     Args:
         model: the device.
         omega: of the drive [rad/s].
         force: its complex amplitude per axis [N].
         conditions: of the row.
-        settled: (h, n) Fourier coefficients of a settled state, of which other harmonics begin.
+        settled: (h, n) Fourier coefficients of the settled state, from which other harmonics begin.
+        linear: matrix and gain of the linear part of the model.
+        push: (h, n, k) response of each harmonic to what is nonlinear.
+        mobile: (2iω + D)⁻¹ [s].
         samples: of a period.
     """
 
@@ -53,9 +57,8 @@ class SlowMotion(eqx.Module):
     ) -> "SlowMotion":
         """Beside a settled state of the row."""
         linear, axes = model.linear(conditions), model.axes
-        push = linear_response(model, omega, force, linear, fineness.harmonics)[1][
-            :, :, np.asarray(model.nonlinear_rows)
-        ]
+        push = linear_response(model, omega, force, linear, fineness.harmonics)[1]
+        push = push[:, :, np.asarray(model.nonlinear_rows)]
         damping = -linear[0][axes : 2 * axes, axes : 2 * axes]
         mobile = inverse(2j * omega * jnp.eye(axes) + damping)
         return cls(model, omega, force, conditions, settled, linear, push, mobile, fineness.samples)
@@ -64,10 +67,10 @@ class SlowMotion(eqx.Module):
         """Of a motion q [m], the state of its fundamental, and the acceleration N(q) [m/s²]."""
         axes, harmonics = self.model.axes, len(self.settled) - 1
         first = jnp.concatenate([motion, 1j * self.omega * motion, self.settled[1, 2 * axes :]])
-        given = self.linear, self.force, self.conditions, self.samples, harmonics
+        given = self.force, self.conditions, self.samples, harmonics
 
         def left(state: Array) -> Array:
-            return nonlinear_spectrum(self.model, given[0], state, *given[1:])
+            return nonlinear_spectrum(self.model, self.linear, state, *given)
 
         others = product(self.push, left(self.settled.at[1].set(first)))
         return first, left(others.at[1].set(first))[1, :axes]
@@ -149,7 +152,8 @@ class BentRow(eqx.Module):
 
     def course(self, away: Complex[Array, " axes"], dwell: Array, parts: int = 1) -> Complex[Array, "parts axes"]:
         """How far from its settled reading a row is at the ends of so many equal parts of its dwell [s], which began
-        so far `away` from it [V]; zero where the dwell is zero or so long that it settled.
+        so far `away` from it [V]; zero where the dwell is zero or so long that it settled, or the motion goes beyond
+        all bounds.
         """
         motion, settled = self.motion, self.motion.settled[1, : len(away)]
         lasting = (dwell > 0) & (dwell * motion.decay < _OVER)
@@ -161,4 +165,4 @@ class BentRow(eqx.Module):
             return end, end
 
         _, ends = jax.lax.scan(part, start, None, length=parts)
-        return jnp.where(lasting, self.shown * product(self.gain, ends - settled), 0.0)
+        return jnp.where(lasting & jnp.isfinite(ends), self.shown * product(self.gain, ends - settled), 0.0)

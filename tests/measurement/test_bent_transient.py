@@ -7,12 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
+import memsgyro_jax as mg
+from memsgyro_jax.base.linalg import exponential_and_means
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import CubicStiffness, QuadraticStiffness
 from memsgyro_jax.effects.lock_in_poles import LockInFilter
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
+from memsgyro_jax.measurement.envelope import Driven
 from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep
 from memsgyro_jax.measurement.lock_in import RowsBefore
 from memsgyro_jax.measurement.model import Model
@@ -147,6 +151,47 @@ def test_a_row_that_waited_long_or_had_settled_leaves_nothing():
     assert np.all(np.isfinite(rings))
 
 
+def test_two_axes_ring_together():
+    """Of a gyro under rotation, whose y is read beside a bent x: against the envelope that `predict_sweep` follows, of
+    all harmonics and of second order in time, in small steps.
+    """
+    gyro = mg.SingleMassGyro.from_modes("30 ug", ("7.2 kHz", "7.35 kHz"), (800, 1200), quadrature="40 deg/s")
+    width, decay, amplitude = 9.0, np.pi * 9.0, 1e-6
+    force = gyro.mass * 2 * decay * 2 * np.pi * 7.2e3 * amplitude
+    cubic = gyro.mass * 8 / 3 * 2 * np.pi * 7.2e3 * 2 * np.pi * 0.6 * width / amplitude**2
+    model = Model(gyro.with_effect(CubicStiffness("x", cubic)), scale=jnp.array([1e6, 1e6]))
+    frequency, dwell = 2 * np.pi * (7.2e3 + np.linspace(-15.0, 15.0, 21)), 2.0 / decay
+    around, push = Conditions(rate=1.5), jnp.array([force + 0j, 0j])
+
+    def row(state, omega):
+        driven = Driven.of(model, omega, push, around, 12)
+        propagate = driven.propagator(dwell / 800)
+        state = jax.lax.fori_loop(
+            0, 800, lambda _, at: propagate.advance(at, driven.load, lambda s: driven.rest(s, around))[0], state
+        )
+        return state, state[1, :2] * 1e6
+
+    _, seen = jax.jit(lambda: jax.lax.scan(row, jnp.zeros((3, model.size), complex), jnp.asarray(frequency)))()
+    seen = np.asarray(seen)
+    sweep = HarmonicSweep(
+        name="sweep",
+        frequency=jnp.asarray(frequency),
+        force=jnp.tile(push, (21, 1)),
+        measured=jnp.asarray(seen),
+        noise=CartesianNoise(1.0),
+        surroundings=around.rows(21),
+        near=jnp.asarray(seen * 1e-6),
+        direction=jnp.ones(21),
+        before=jnp.asarray(seen[np.maximum(np.arange(21) - 1, 0)]),
+        dwell=jnp.asarray(np.where(np.arange(21) > 0, dwell, np.inf)),
+        unsettled=jnp.ones(21),
+    )
+    size, found = np.max(np.abs(seen), axis=0), np.asarray(predicted(sweep, model))
+    still = np.asarray(predicted(dataclasses.replace(sweep, unsettled=jnp.zeros(21)), model))
+    assert np.all(np.max(np.abs(found - seen)[1:], axis=0) < 2e-3 * size)
+    assert np.all(np.max(np.abs(still - seen)[1:], axis=0) > 0.1 * size)
+
+
 @pytest.mark.parametrize("filtered", [False, True])
 def test_slopes_are_those_of_the_transient(filtered):
     sweep = swept(1, cubic=CUBIC, filtered=filtered)
@@ -172,3 +217,16 @@ def test_a_filter_sees_the_bent_resonance_ring(way):
     term = LockInFilter([TAU], np.ones((1, 1, 1)), 2.0)
     assert misfit(sweep, device(spring)) > 0.08
     assert misfit(sweep, device(spring, term)) < 5e-3
+
+
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_means_of_an_exponential(size):
+    """φ_k(M) = M·φ_{k+1}(M) + 1/k!, of matrices that are halved and of such as are not; the third of none is 1/6."""
+    for scale in (0.1, 7.0):
+        matrix = scale * np.random.default_rng(size).standard_normal((size, size))
+        parts = exponential_and_means(jnp.asarray(matrix), 3)
+        np.testing.assert_allclose(parts[0], expm(matrix), rtol=1e-11, atol=1e-11 * np.max(expm(matrix)))
+        for order, share in enumerate((1.0, 1.0, 0.5)):
+            whole = matrix @ parts[order + 1] + share * np.eye(size)
+            np.testing.assert_allclose(parts[order], whole, rtol=1e-11, atol=1e-11 * np.max(np.abs(whole)))
+    np.testing.assert_allclose(exponential_and_means(jnp.zeros((size, size)), 3)[3], np.eye(size) / 6, rtol=1e-15)
