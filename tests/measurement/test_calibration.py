@@ -24,7 +24,7 @@ def case(tmp_path_factory):
 
 def test_scales_move_numbers_by_their_powers(case):
     """Without a declared mass: newtons follow the drive, metres the read-out, and what is in volts neither."""
-    free = replace(case, design={k: v for k, v in case.design.items() if k != "static_gain"})
+    free = replace(case, design={k: v for k, v in case.design.items() if k not in ("static_gain", "mass")})
     assert calibration_share(free, "N") == pytest.approx(0.05)
     assert calibration_share(free, "m") == pytest.approx(0.03)
     assert calibration_share(free, "N/m³") == pytest.approx((0.05**2 + (3 * 0.03) ** 2) ** 0.5)
