@@ -68,30 +68,44 @@ def describing_function(
 
 
 def consequence(fit: CaseFit, effect: Effect) -> str:
-    """A sentence on what an effect does to resonance and quality factor at the largest swing of the sweeps; empty where
-    it is no force that follows the motion of one axis, or none was swept.
+    """A sentence on what an effect does to resonance and quality factor at the largest swing of the sweeps and decays;
+    empty where it is no force that follows the motion of one axis, or none shows how far it swings along that.
     """
-    if not isinstance(effect, ForceEffect) or effect.own_size or not (sweeps := _sweeps(fit)):
+    if not isinstance(effect, ForceEffect) or effect.own_size:
         return ""
-    largest = max(sweeps, key=lambda sweep: float(np.max(sweep.amplitude)))
-    device, axis = fit.model.device, largest.axis
+    swings = [one for one in (*_swept(fit), *_left_alone(fit)) if one[1] == getattr(effect, "axis", one[1])]
+    if not swings:
+        return ""
+    (amplitude, axis, of), device = max(swings), fit.model.device
     stiffness, damping = np.asarray(device.stiffness_matrix)[axis, axis], np.asarray(device.damping_matrix)[axis, axis]
-    amplitude, omega = float(np.max(largest.amplitude)), float(np.sqrt(stiffness))
+    omega = float(np.sqrt(stiffness))
     parts = describing_function(fit.model, effect, axis, omega, np.array([0.5, 1.0]) * amplitude)[axis]
     added = {name: abs(float(device.mobility)) * values[-1] for name, values in parts.items()}
     higher = float(np.sqrt(max(0.0, stiffness + added.get("stiffness", 0.0)))) - omega
     before, after = omega / damping, (omega + higher) / (damping + added.get("damping", 0.0))
+    loss = 1.0 / after - 1.0 / before
     said = [f"the resonance is {spoken(abs(higher) / (2 * np.pi), 'Hz', 3)} {'higher' if higher > 0 else 'lower'}"]
     said = said if abs(higher) > _SEEN * damping else []
     if "damping" in added and abs(after / before - 1.0) > _SEEN:
-        said.append(f"the quality factor is {after:.0f} in place of {before:.0f}")
+        way = f"1/Q {abs(loss):.3g} {'higher' if loss > 0 else 'lower'}"
+        said.append(f"the quality factor is {after:.0f} in place of {before:.0f} ({way})")
     swing = spoken(amplitude, unit_of_records(fit.case, "m"), 3)
-    return f"at {swing}, the largest amplitude of the sweeps, {' and '.join(said)}" if said else ""
+    return f"at {swing}, the largest amplitude of the {of}, {' and '.join(said)}" if said else ""
 
 
-def _sweeps(fit: CaseFit) -> list[SweepForce]:
-    """What the records over frequency show of their motion."""
-    return [one for one in fit.stepped_forces.values() if isinstance(one, SweepForce)]
+def _swept(fit: CaseFit) -> list[tuple[float, int, str]]:
+    """Largest displacement that each record over frequency shows [m], its axis, and what such records are called."""
+    swept = (one for one in fit.stepped_forces.values() if isinstance(one, SweepForce))
+    return [(float(np.max(one.amplitude)), one.axis, "sweeps") for one in swept]
+
+
+def _left_alone(fit: CaseFit) -> list[tuple[float, int, str]]:
+    """The same of free decays."""
+    scale, order, out = np.abs(np.asarray(fit.model.scale)), fit.model.order, []
+    for record in fit.case.records:
+        for axis, (reading, omega, _) in enumerate(record.free_modes(fit.case) or ()):
+            out.append((float(reading / (scale[axis] * omega**order)), axis, "decays"))
+    return out
 
 
 def drift_over(fit: CaseFit, term: Effect) -> str:

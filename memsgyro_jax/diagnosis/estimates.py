@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from memsgyro_jax.effects import InstrumentTerm
+from memsgyro_jax.base.text import said_in
+from memsgyro_jax.effects import ForceEffect, InstrumentTerm
 from memsgyro_jax.measurement.calibration import calibration_share, unit_of_records
 from memsgyro_jax.measurement.case import Case
 
@@ -53,16 +54,33 @@ def told_of(fit: Any) -> tuple[str, ...]:
     """A line for each mode and parameter of a fit, and one on their ±; without ± where the fit has not ended, or leaves
     more than noise.
     """
-    every = (*fit.modes, *fit.estimates)
+    every, whose = (*fit.modes, *fit.estimates), whose_forces(fit)
+    beside = (f"  ({whose})",) if whose else ()
     if not fit.optimum.converged:
         bare = (e if np.isinf(e.std) else replace(e, std=np.nan) for e in every)
-        return (*(f"  {e}" for e in bare), f"  ({UNENDED})")
+        return (*(f"  {e}" for e in bare), *beside, f"  ({UNENDED})")
     if not fit.leaves_noise:
-        return (*(f"  {e.roughly}" for e in every), f"  ({WITHOUT})")
+        return (*(f"  {e.roughly}" for e in every), *beside, f"  ({WITHOUT})")
     said = tuple(f"  {replace(e, std=fit.scale * e.std)}" for e in every)
     outside = outside_design(fit.case, fit.optimum, fit.scale)
-    said += tuple(f"  outside its design: {one}" for one in outside)
+    said += (*beside, *(f"  outside its design: {one}" for one in outside))
     return said if fit.scale == 1.0 else (*said, f"  ({SCALED.format(fit.scale)})")
+
+
+def whose_forces(fit: Any) -> str:
+    """Of which device the strengths of forces are, where nothing drives it and nobody says its mass, in a sentence;
+    empty where records or the design hold that, or the fit has no force.
+    """
+    case, model = fit.case, fit.model
+    held = not fit.joint.undriven or (not case.holds_gain if model.axes == 1 else not case.design["mass"].unknown)
+    if held or not any(isinstance(effect, ForceEffect) for effect in model.present.effects):
+        return ""
+    if model.axes == 1:
+        what, size, unit = "stiffness", float(model.device.stiffness[0] / model.device.mobility), "N/m"
+    else:
+        what, size, unit = "mass", 1.0 / float(model.device.mobility), "kg"
+    told = said_in(f"{size:.4g}", unit_of_records(case, unit))
+    return f"nothing drives the device, so that no record tells its mass: strengths are those of a {what} of {told}"
 
 
 def with_std_if_held(fit: Any) -> tuple[ParameterEstimate, ...]:

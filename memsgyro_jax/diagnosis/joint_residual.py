@@ -7,16 +7,16 @@ strength zero is exactly absent, so that leaving it out changes nothing but the 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from memsgyro_jax.base.concrete import strong
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.runtime import require_float64, usable_cores
 from memsgyro_jax.base.threads import in_threads
-from memsgyro_jax.base.transforms import Free, Identity, fixed, from_vector, mark, to_vector
+from memsgyro_jax.base.transforms import from_vector, to_vector
 from memsgyro_jax.effects import Effect, ForceEffect, SweepEffect, free_numbers
 from memsgyro_jax.measurement.absent import Absent, of_first_order
 from memsgyro_jax.measurement.first_order import Contribution, Inquiry, contributions
@@ -25,7 +25,7 @@ from memsgyro_jax.measurement.readings import Readings
 
 from .instrument import Knowledge
 from .linearised import WIDER, WIDTH, Calls, Linear, Part, lanes, nothing
-from .parameters import Parameter, parameters
+from .parameters import MOBILITY, Parameter, all_free, parameters, untold
 from .programs import SPARE, Programs, is_idle
 from .rows_of_their_own import SideBySide, by_row
 
@@ -53,7 +53,7 @@ class Joint:
             )
         self.model = strong(model)
         self.readings = tuple(readings)
-        self.spec = _all_free(model)
+        self.spec = all_free(model)
         self.parameters: tuple[Parameter, ...] = parameters(model)
         self.programs = Programs() if programs is None else programs
         self.programs.know(self._names)
@@ -71,7 +71,10 @@ class Joint:
 
     def at(self, vector: np.ndarray) -> Model:
         """The model with the parameters of a vector."""
-        return from_vector(jnp.asarray(vector), self.model, self.spec)
+        model = from_vector(jnp.asarray(vector), self.model, self.spec)
+        if self.gain is None:
+            return model
+        return eqx.tree_at(lambda m: m.device.mobility, model, self.gain * model.device.stiffness[0])
 
     def base(self) -> np.ndarray:
         """Places of the base parameters in the vector that the readings can hold."""
@@ -79,12 +82,19 @@ class Joint:
 
     @cached_property
     def idle(self) -> frozenset[int]:
-        """Place of 1/m where no known force drives what is fitted: forces then scale with the declared mass; and of the
-        constant voltage of each channel where none is read.
-        """
-        driven, constant = (any(getattr(r.experiment, of) for r in self.fitted) for of in ("driven", "reads_constants"))
-        untold = [(p.name == "1/m" and not driven) or (p.is_offset and not constant) for p in self.parameters]
-        return frozenset(np.flatnonzero(untold).tolist())
+        """Places of what no reading that is fitted can tell, whatever it reads."""
+        return untold(self.parameters, self.fitted)
+
+    @cached_property
+    def gain(self) -> float | None:
+        """Displacement per force at rest where that stands in the place of a mass that nothing tells; else `None`."""
+        device = self.model.device
+        return float(device.mobility / device.stiffness[0]) if self.model.holds_gain and self.undriven else None
+
+    @property
+    def undriven(self) -> bool:
+        """Whether no known force drives what is fitted, so that forces are those of a mass, or a gain, as declared."""
+        return any(self.parameters[i].name == MOBILITY for i in self.idle)
 
     def of_effect(self, effect: int) -> np.ndarray:
         """Places of the strength of one effect."""
@@ -298,14 +308,15 @@ class Joint:
             order = programs.in_order(chosen, list(zip(names, self.model.effects, strict=True)))
         model = self.model.with_only(map(self._named, order))
         mine = tuple(names.index(name) if name in names else None for name in order)
-        spec = _all_free(model)
+        spec = all_free(model)
         rest = np.asarray(to_vector(model, spec))
         places = [np.flatnonzero(self.owner == -1)]
         for place, effect in zip(mine, model.effects, strict=True):
             lacking = np.full(sum(np.size(getattr(effect, number.field)) for number in free_numbers(effect)), -1)
             places.append(lacking if place is None else np.flatnonzero(self.owner == place))
         width = WIDER if any(map(by_row, model.effects)) else WIDTH
-        return Part(tuple(i for i in mine if i is not None), model, spec, np.concatenate(places), rest, width)
+        own = tuple(i for i in mine if i is not None)
+        return Part(own, model, spec, np.concatenate(places), rest, width, self.gain)
 
     def _named(self, name: str) -> Effect:
         """An effect of the model; of a program that is there, where the model lacks it."""
@@ -336,14 +347,3 @@ class Joint:
         """The function of each of the chosen, side by side on the cores."""
         with in_threads(min(usable_cores(), len(chosen))) as over:
             return list(over(function, chosen))
-
-
-def _all_free(model: Model) -> PyTree:
-    """Device, offsets, every strength and every declared number are free."""
-    spec = fixed(model)
-    identity = Free(Identity())
-    spec = mark(spec, lambda m: (m.device.stiffness, m.device.damping, m.device.mobility, m.offset), identity)
-    if not model.effects:
-        return spec
-    places = [(i, number.field) for i, effect in enumerate(model.effects) for number in free_numbers(effect)]
-    return mark(spec, lambda m: tuple(getattr(m.effects[i], field) for i, field in places), identity)

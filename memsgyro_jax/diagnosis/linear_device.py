@@ -11,7 +11,7 @@ from memsgyro_jax.measurement.one_place import nearest_in_words, place_in_words
 
 from .fit import CaseFit
 from .fitted import ParameterEstimate, about
-from .modes import mode_estimates
+from .modes import coupling_estimates, mode_estimates
 from .outside_design import outside_design
 from .residual_force import lowest_drive
 
@@ -28,12 +28,14 @@ class LinearDevice:
         whence: of which records, in words; empty for all.
         held: whether the model leaves noise alone of them, so that the standard deviations say how sure they are.
         outside: a sentence for each number of an axis that lies outside its design.
+        couplings: of two axes, over the mass.
     """
 
     modes: tuple[ParameterEstimate, ...]
     whence: str
     held: bool
     outside: tuple[str, ...] = ()
+    couplings: tuple[ParameterEstimate, ...] = ()
 
     @property
     def estimates(self) -> tuple[ParameterEstimate, ...]:
@@ -42,16 +44,20 @@ class LinearDevice:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """A line for each mode that the records hold."""
+        """A line for each mode that the records hold, and one for what couples the axes."""
         out = []
         for m in self.modes:
             if m.above is not None:
                 out.append(f"{m.name}: {m.at_least}")
             if not np.isfinite(m.std):
                 continue
-            value = f"{beside(m.value, m.std)} ± {m.std:.2g}" if self.held else about(m.value, m.std)
-            out.append(f"{m.name}: {said_in(value, m.unit)}")
-        return tuple(out)
+            out.append(f"{m.name}: {self._said(m)}")
+        coupled = [f"{c.name} {self._said(c)}" for c in self.couplings if np.isfinite(c.std)]
+        return (*out, f"coupling of the axes: {', '.join(coupled)}") if coupled else tuple(out)
+
+    def _said(self, one: ParameterEstimate) -> str:
+        value = f"{beside(one.value, one.std)} ± {one.std:.2g}" if self.held else about(one.value, one.std)
+        return said_in(value, one.unit)
 
     @property
     def about(self) -> str:
@@ -66,21 +72,24 @@ def linear_device(fit: CaseFit, base: CaseFit, *, explained: bool) -> LinearDevi
 
     A model that lacks something is dragged by the drives that show it most.
     """
-    around, records = fit.case.environment, fit.case.records
+    around, records, axes = fit.case.environment, fit.case.records, base.model.axes
     if explained:
         there = place_in_words(around, records)
         outside = outside_design(fit.case, fit.optimum, fit.scale)
         if any(mode.above is not None for mode in fit.modes):
             outside = tuple(one + MAYBE_NONE for one in outside)
-        return LinearDevice(_scaled(fit.modes, fit.scale), f"at {there}" if there else "", True, outside)
+        coupled = _scaled(coupling_estimates(fit.optimum, axes), fit.scale)
+        return LinearDevice(_scaled(fit.modes, fit.scale), f"at {there}" if there else "", True, outside, coupled)
     lowest = lowest_drive(base)
     if lowest is None:
-        return LinearDevice(_scaled(fit.modes, fit.scale), "", False)
+        coupled = _scaled(coupling_estimates(fit.optimum, axes), fit.scale)
+        return LinearDevice(_scaled(fit.modes, fit.scale), "", False, couplings=coupled)
     place = nearest_in_words(around, records)
     drive = "of the lowest drive" if len(clear_drives(fit.case)) > 1 else "of the records"
     whence = f"{drive}{f' at {place}' if place else ''} alone"
     scale = 1.0 if lowest.leaves_noise else float(np.sqrt(lowest.chi2 / lowest.dof))
-    return LinearDevice(_scaled(mode_estimates(lowest, base.model.axes), scale), whence, lowest.leaves_noise)
+    modes, coupled = (_scaled(told(lowest, axes), scale) for told in (mode_estimates, coupling_estimates))
+    return LinearDevice(modes, whence, lowest.leaves_noise, couplings=coupled)
 
 
 def _scaled(modes: Sequence[ParameterEstimate], scale: float) -> tuple[ParameterEstimate, ...]:

@@ -18,6 +18,8 @@ from memsgyro_jax.measurement.experiments.base import Experiment, Readings
 from memsgyro_jax.measurement.first_order import Contribution, Inquiry
 from memsgyro_jax.measurement.model import Model
 
+from .parameters import with_gain
+
 
 # For the compiler. Where states and their slopes are both written step by step, it would fuse the two into one that
 # writes all of them anew in each step: of 81000 steps 35 s in place of 0.04.
@@ -30,7 +32,7 @@ SHORT = 100  # rows up to which optimising a program takes longer than the calls
 class Part(NamedTuple):
     """A model with some of the effects, what is free in it, and where its parameters stand among those of all; -1 of
     those of an absent effect that all do not have, which keep what they are at `rest`. So many directions `width` go
-    through its program at once.
+    through its program at once. Where a `gain` is held, of displacement per force at rest, 1/m follows k/m.
     """
 
     effects: tuple[int, ...]
@@ -39,14 +41,15 @@ class Part(NamedTuple):
     places: np.ndarray
     rest: np.ndarray
     width: int
+    gain: float | None = None
 
     def of(self, vector: np.ndarray) -> np.ndarray:
         """Its parameters at a vector of all."""
-        return np.where(self.places < 0, self.rest, vector[self.places])
+        return with_gain(np.where(self.places < 0, self.rest, vector[self.places]), self.gain)
 
     def along(self, directions: np.ndarray) -> np.ndarray:
         """Directions (k, p) among all parameters as directions among its own."""
-        return np.where(self.places < 0, 0.0, directions[:, self.places])
+        return with_gain(np.where(self.places < 0, 0.0, directions[:, self.places]), self.gain)
 
 
 class Linear(NamedTuple):

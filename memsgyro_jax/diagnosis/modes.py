@@ -29,17 +29,25 @@ def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]
         variance += ((_modes(optimum.vector + moved, axes) - _modes(optimum.vector - moved, axes)) / (2 * _STEP)) ** 2
     if np.any(np.asarray(held.loose) & (optimum.free < size)):
         variance[:] = np.inf
-    names = [
-        (f"{mode}{what}" if mode or what != "frequency" else "resonance frequency")
-        for what in ("frequency", "quality factor")
-        for mode in _MODES[axes]
-    ]
+    frequencies = ["lower undamped frequency", "upper undamped frequency"] if axes == 2 else ["resonance frequency"]
+    names = [*frequencies, *(f"{mode}quality factor" for mode in _MODES[axes])]
     units = ["Hz"] * axes + ["1"] * axes
     found = [
         ParameterEstimate(name, float(value), float(std), unit)
         for name, value, std, unit in zip(names, values, np.sqrt(variance), units, strict=True)
     ]
     return (*found[:axes], *map(_told_of_quality, found[axes:]))
+
+
+def coupling_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]:
+    """What couples two axes, over the mass: a stiffness [rad²/s²] and a damping [1/s]; nothing of one axis."""
+    if axes < 2:
+        return ()
+    std = dict(zip(optimum.free.tolist(), optimum.std.tolist(), strict=True))
+    return tuple(
+        ParameterEstimate(name, float(optimum.vector[place]), std.get(place, np.nan), unit)
+        for name, place, unit in (("kxy/m", 2, "rad²/s²"), ("dxy/m", 5, "1/s"))
+    )
 
 
 def _told_of_quality(mode: ParameterEstimate) -> ParameterEstimate:

@@ -23,6 +23,7 @@ from memsgyro_jax.measurement.model import Model
 
 from .compare import judged
 from .describing import consequence, drift_over
+from .estimates import whose_forces
 from .findings import NOT_HELD, Accepted, Candidate, Prospect, Stage, told_with
 from .fit import CaseFit
 from .fit_table import effects_table, errors_table, parameters_table, readings_table
@@ -192,6 +193,8 @@ class Diagnosis(Labelled):
             lines.append(f"  {a.label}: {a.told_in_unit}{with_calibration(a.calibration)}{more}" + _confused(a))
             if about := "; ".join(filter(None, (self.laws.get(a.label), self.consequences.get(a.label)))):
                 lines.append(f"    {about}")
+        if whose := whose_forces(self.final):
+            lines.append(f"  ({whose})")
         if self.unexplained and (self.instrument or self.accepted):
             lines.append(f"  ({ONLY_IF})")
         elif self.scale > 1.0 and not self.unexplained:

@@ -187,7 +187,7 @@ class Declared:
         description: free text.
         device: "single_mass" (two axes) or "resonator" (one).
         design: single mass: mass [kg], kxx, kyy, kxy [N/m], dxx, dyy, dxy [N s/m]; resonator: resonance [rad/s],
-            quality_factor [1], static_gain [record unit per input unit].
+            quality_factor [1], static_gain [record unit per input unit], and mass [kg] where that gives it.
         readout: what is declared about the read-out.
         environment: what holds where a record does not say otherwise.
         conventions: free text by topic.
@@ -213,6 +213,11 @@ class Declared:
     def words(self) -> Vocabulary:
         """What the device is called by in files."""
         return vocabulary(self.device, self.readout, self.drive)
+
+    @property
+    def holds_gain(self) -> bool:
+        """Whether it is the displacement per force at rest that stands where no drive tells it, and not a mass."""
+        return self.device == "resonator" and "mass" not in self.design
 
     @property
     def resonances(self) -> tuple[float, float]:

@@ -63,5 +63,6 @@ def _as_heard(case: Case, records: Iterable[AbstractRecord]) -> NormalisedDevice
         _, omega, decay = max(modes)
         stiffness[axis] = omega**2
         damping[axis] = 2.0 * decay if decay > 0.0 else damping[axis]
-    moved = NormalisedDevice(stiffness, damping, device.mobility)
+    gain = device.mobility / device.stiffness[0]
+    moved = NormalisedDevice(stiffness, damping, gain * stiffness[0] if case.holds_gain else device.mobility)
     return moved if moved.is_held else device

@@ -34,6 +34,8 @@ class Model(Displayed):
         scale: volts per displacement of each channel [V/m], or one number for all.
         offset: constant voltage of each channel [V]; lock-in records do not see it.
         order: of the derivative that channels show and `scale` is per: 0 displacement, 1 velocity, 2 acceleration.
+        holds_gain: whether a fit of records that no known force drives holds the displacement per force at rest, of a
+            device of one axis, and not its mass.
         effects: further ones, beside those that the device carries.
         reference_temperature: at which the base parameters hold [K]; None takes the device's.
         reference_bias: electrode bias at which the base stiffness holds [V]; None takes the device's.
@@ -46,6 +48,7 @@ class Model(Displayed):
     reference_temperature: Array
     reference_bias: Array
     order: int = eqx.field(static=True)
+    holds_gain: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -57,6 +60,7 @@ class Model(Displayed):
         reference_temperature: float | None = None,
         reference_bias: float | None = None,
         order: int = 0,
+        holds_gain: bool = False,
     ):
         self.device = NormalisedDevice.of(device)
         axes = self.device.axes
@@ -66,7 +70,7 @@ class Model(Displayed):
         self.reference_temperature, self.reference_bias = (
             jnp.asarray(own if given is None else given, float) for given, own in zip(at, held, strict=True)
         )
-        self.order = order
+        self.order, self.holds_gain = order, holds_gain
         self.effects = (*carried(device), *effects)
         for effect in self.effects:
             check_effect(effect, axes)

@@ -70,5 +70,6 @@ def model_of(case: Case, device, **more) -> Model:
         reference_temperature=case.environment.temperature,
         reference_bias=case.environment.bias_voltage,
         order=case.readout.order,
+        holds_gain=case.holds_gain,
         **more,
     )

@@ -50,6 +50,19 @@ def test_a_fit_that_has_not_ended_tells_no_uncertainty():
     assert "not converged after" in said
 
 
+def test_without_an_effect_the_base_model_is_fitted(tmp_path, capsys):
+    """Also for a study of a device of which nothing is missing; it was refused."""
+    model, result = tmp_path / "model.toml", tmp_path / "fit.json"
+    assert run("fit", DEMO, "--out", model, "--json", result) == 0
+    printed = capsys.readouterr().out
+    assert "->" not in printed
+    assert "with " not in printed.partition("noise alone below")[0]
+    assert "lower undamped frequency" in printed
+    assert "kxy/m" in printed
+    assert json.loads(result.read_text())["added"] == []
+    assert "[[effects]]" not in model.read_text()
+
+
 def test_a_fitted_model_is_written_and_compared(tmp_path, capsys):
     model, result, report = (tmp_path / name for name in ("model.toml", "fit.json", "compare.json"))
     assert run("fit", DEMO, "--add", "cubic_stiffness", "x", "--out", model, "--json", result) == 0
@@ -99,7 +112,6 @@ def test_the_base_model_is_compared(capsys):
 @pytest.mark.parametrize(
     ("tokens", "message"),
     [
-        (("fit", DEMO), "`--add` must name"),
         (("fit", DEMO, "--add", "cubic_stifness"), "did you mean `cubic_stiffness`"),
         (("fit", DEMO, "--add", "cubic_stiffness z"), "is not"),
         (("compare", DEMO, "--model", "nowhere.toml"), "nowhere.toml"),
@@ -155,6 +167,11 @@ def test_what_no_diagnosis_asks_for_is_fitted_where_it_is_named_with_its_variant
     ]
     alone = [e.label for e in named_effects(["thermal_drift"], known, others)]
     assert alone == ["thermal_drift stiffness", "thermal_drift damping"]
+
+
+def test_effects_of_ones_own_that_are_not_named_are_asked_for():
+    with pytest.raises(InputError, match="`--add` must name"):
+        named_effects([], catalogue(2))
 
 
 def test_a_variant_without_its_effect_is_no_name():

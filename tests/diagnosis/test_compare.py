@@ -68,7 +68,7 @@ def test_numbers_of_a_model_that_fails_are_told_without_errors(base, right):
     """The base model's were told to 0.1 %, and are off by much more."""
     assert base.fit.optimum.converged
     assert "±" not in str(base).replace("without ±", "")
-    assert "  lower mode frequency     about " in str(base)
+    assert "  lower undamped frequency about " in str(base)
     assert "(without ±: the model leaves more than the noise" in str(base)
     assert {p["std"] for p in base.to_dict()["parameters"]} == {None}
     assert "±" in str(right)

@@ -16,7 +16,14 @@ from memsgyro_jax.measurement.model import Model
 
 OMEGA, QUALITY, MASS = 2 * np.pi * 20e3, 500.0, 2e-9
 LARGEST = "at 2 µm, the largest amplitude of the sweeps"
+QUALITIES = "the quality factor is {} in place of 500 (1/Q {} {})"
 PLACE = np.array([1e-7, 5e-7, 2e-6])
+
+
+def beside(model, records=()):
+    """A model beside a case, as far as it is looked at."""
+    case = SimpleNamespace(words=SimpleNamespace(displacement="m", force="N"), records=records)
+    return SimpleNamespace(model=model, case=case, stepped_forces={})
 
 
 @pytest.fixture
@@ -39,16 +46,31 @@ def test_a_cubic_spring_and_a_quadratic_damper(model):
     [
         (mg.effects.CubicStiffness("x", 3e9), f"{LARGEST}, the resonance is 2.85 Hz higher"),
         (mg.effects.CubicStiffness("x", -3e9), f"{LARGEST}, the resonance is 2.85 Hz lower"),
-        (mg.effects.QuadraticDamping("x", 2e-6), f"{LARGEST}, the quality factor is 270 in place of 500"),
+        (
+            mg.effects.QuadraticDamping("x", 2e-6),
+            f"{LARGEST}, {QUALITIES.format(270, 0.0017, 'higher')}",
+        ),
+        (
+            mg.effects.QuadraticDamping("x", -2e-7),
+            f"{LARGEST}, {QUALITIES.format(546, 0.00017, 'lower')}",
+        ),
         (mg.effects.CubicStiffness("x", 1e5), ""),
         (mg.effects.PickoffNonlinearity("x", 1e3), ""),
     ],
 )
 def test_what_a_law_does_at_the_largest_swing(model, monkeypatch, effect, told):
-    sweep = SimpleNamespace(amplitude=np.array([1e-6, 2e-6]), axis=0)
-    monkeypatch.setattr(describing, "_sweeps", lambda fit: [sweep])
-    words = SimpleNamespace(displacement="m", force="N")
-    assert consequence(SimpleNamespace(model=model, case=SimpleNamespace(words=words)), effect) == told
+    monkeypatch.setattr(describing, "_swept", lambda fit: [(1e-6, 0, "sweeps"), (2e-6, 0, "sweeps")])
+    assert consequence(beside(model), effect) == told
+
+
+def test_the_largest_swing_of_a_free_decay_counts_as_well(model):
+    """Whose readings are 1 V for 2 µm/s: 4 µm at 20 kHz."""
+    whole = Model(model.device, scale=0.5e6, order=1)
+    decay = SimpleNamespace(free_modes=lambda case: [(0.5e6 * OMEGA * 4e-6, OMEGA, 0.5 * OMEGA / QUALITY)])
+    driven = SimpleNamespace(free_modes=lambda case: None)
+    said = consequence(beside(whole, (driven, decay)), mg.effects.QuadraticDamping("x", 2e-6))
+    assert said == f"at 4 µm, the largest amplitude of the decays, {QUALITIES.format(185, 0.0034, 'higher')}"
+    assert consequence(beside(whole, (driven,)), mg.effects.QuadraticDamping("x", 2e-6)) == ""
 
 
 def test_a_drift_says_over_which_time_it_goes_on():

@@ -5,6 +5,7 @@ import pytest
 from bench_case import ONE_AXIS, RESONATOR, bench
 from lab.die import Hidden
 
+from memsgyro_jax.base.text import beside
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.linear_device import linear_device
 
@@ -46,3 +47,13 @@ def test_one_drive_alone_is_told_without_a_standard_deviation(dragged, monkeypat
     found = linear_device(dragged, dragged, explained=False)
     assert (found.held, found.whence) == (False, "")
     assert found.about.startswith("without ±")
+
+
+def test_couplings_are_told_beside_the_modes():
+    """Of a device that the base model explains with their standard deviations, of none that it does not."""
+    fit = fit_case(bench().case)
+    kxy, dxy = (next(e for e in fit.estimates if e.name == name) for name in ("kxy/m", "dxy/m"))
+    *_, said = linear_device(fit, fit, explained=True).told
+    told = [f"{e.name} {beside(e.value, e.std)} ± {e.std:.2g} {e.unit}" for e in (kxy, dxy)]
+    assert said == f"coupling of the axes: {', '.join(told)}"
+    assert not any("coupling" in line for line in linear_device(hardening(0.0), hardening(0.0), explained=True).told)

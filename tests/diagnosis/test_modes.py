@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from memsgyro_jax.diagnosis.modes import mode_estimates
+from memsgyro_jax.diagnosis.modes import coupling_estimates, mode_estimates
 from memsgyro_jax.diagnosis.optimum import Optimum
 
 
@@ -29,7 +29,23 @@ def test_two_axes_whose_coupling_turns_the_modes():
     np.testing.assert_allclose([low.value, high.value], [8000.0, 8080.0])
     np.testing.assert_allclose([low.std, high.std], [0.004, 0.0404], rtol=1e-3)
     np.testing.assert_allclose([one.value for one in quality], [900.0, 700.0])
+    assert [low.name, high.name] == ["lower undamped frequency", "upper undamped frequency"]
     assert [one.name for one in quality] == ["lower mode quality factor", "upper mode quality factor"]
+
+
+def test_what_couples_two_axes_is_told_over_the_mass():
+    """Of one that the fit did not move, there is no standard deviation."""
+    vector = [5e8, 6e8, 3e6, 20.0, 30.0, -4.0, 1.0, 0.0, 0.0]
+    stiffness, damping = coupling_estimates(optimum(vector, [1e3, 2e3, 3e3]), 2)
+    assert (stiffness.name, stiffness.value, stiffness.std, stiffness.unit) == (
+        "kxy/m",
+        3e6,
+        pytest.approx(3e3),
+        "rad²/s²",
+    )
+    assert (damping.name, damping.value, damping.unit) == ("dxy/m", -4.0, "1/s")
+    assert np.isnan(damping.std)
+    assert coupling_estimates(optimum([1e8, 20.0, 1.0, 0.0], [1.0, 1.0]), 1) == ()
 
 
 def test_what_is_not_held_is_said():

@@ -24,7 +24,7 @@ def case(tmp_path_factory):
 
 def test_scales_move_numbers_by_their_powers(case):
     """Without a declared mass: newtons follow the drive, metres the read-out, and what is in volts neither."""
-    free = replace(case, design={k: v for k, v in case.design.items() if k != "static_gain"})
+    free = replace(case, design={k: v for k, v in case.design.items() if k not in ("static_gain", "mass")})
     assert calibration_share(free, "N") == pytest.approx(0.05)
     assert calibration_share(free, "m") == pytest.approx(0.03)
     assert calibration_share(free, "N/m³") == pytest.approx((0.05**2 + (3 * 0.03) ** 2) ** 0.5)
@@ -38,7 +38,9 @@ def test_without_scales_a_unit_is_that_of_the_records(case):
     shown = {unit: unit_of_records(bare, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)")}
     assert [*shown.values()] == ["V/V³", "V·s²/V²", "1/V", "rad²/s²", "V/(V·s²)", "V/(V·V²)"]
     plain = replace(bare, readout=Readout(1.0, unit="1", displacement="1"))
-    shown = {unit: unit_of_records(plain, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)", "m")}
+    shown = {
+        unit: unit_of_records(plain, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)", "m")
+    }
     assert [*shown.values()] == ["V", "V·s²", "1", "rad²/s²", "1/(V·s²)", "V/(V²)", "1"]
     assert unit_of_records(replace(bare, readout=case.readout), "N/m³") == "V/m³"
     assert unit_of_records(case, "N/m³") == "N/m³"

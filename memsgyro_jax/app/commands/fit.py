@@ -1,4 +1,4 @@
-"""`memsgyro fit`: fit the base model, add the named effects, refit, say what it helped, write."""
+"""`memsgyro fit`: fit the base model, add the effects that are named, refit, say what it helped, write."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ def fit_command(
     out: Path | None = None,
     json: Path | None = None,
 ) -> None:
-    """Fit a model with named effects to a measurement case.
+    """Fit the base model, or one with named effects, to a measurement case.
 
     Prints the error of every experiment before and after, also of those that are not fitted.
     A few rows that stand alone, without which the model explains the case,
@@ -26,6 +26,7 @@ def fit_command(
         case: folder with a case.toml and the CSV files that it names, or the word demo for the one that comes along.
         add: names of effects, each with its variant ("cubic_stiffness x") or alone for all its variants, and of what
             the instrument does: reference_phase, lock_in_feedthrough, lock_in_background, gain_drift and others.
+            Without it the base model alone is fitted.
         effects: a Python file with effects of your own, at the strengths to start from. It is run: trust it first.
         kinds: a Python file with kinds of measurement of your own. It is run: trust it first.
         out: file for the fitted model, for `memsgyro compare --model` and for the device of a study.
@@ -52,12 +53,14 @@ def fit_command(
     own = load_effects(effects, measured.channels, as_written=True) if effects else ()
     known = (*catalogue(measured.channels), *own, *every_term(measured))
     others = [e for e in every_effect(measured.channels) if e.label not in {one.label for one in known}]
-    chosen = named_effects(add, known, others)
+    chosen = named_effects(add, known, others) if add or own else ()
     with told() as tell:
         tell("fit the base model")
         before = fit_case(measured)
-        tell(f"base model: χ²/dof {before.chi2_per_dof:.4g}; fit it with {listed([e.label for e in chosen])}")
-        after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
+        after = before
+        if chosen:
+            tell(f"base model: χ²/dof {before.chi2_per_dof:.4g}; fit it with {listed([e.label for e in chosen])}")
+            after = fit_case(measured, [placed_by_scan(effect, before) for effect in chosen])
         found = beside_outlying(judged(after), lambda rows: fit_without(after, rows))
     print(fit_text(before, found))
     if out is not None:

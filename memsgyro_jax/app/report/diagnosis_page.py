@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from memsgyro_jax.base.text import beside, listed
 from memsgyro_jax.diagnosis.compare import as_times, judged
+from memsgyro_jax.diagnosis.estimates import whose_forces
 from memsgyro_jax.diagnosis.findings import Accepted, Candidate, told_with
 from memsgyro_jax.diagnosis.found_force import LawOverWaveform, found_forces
 from memsgyro_jax.diagnosis.residual_force import beside_lowest_drive, rate_residuals, sweep_forces, time_forces
@@ -96,6 +97,8 @@ def _effects(out: Page, diagnosis: Diagnosis) -> None:
     for label, law in diagnosis.laws.items():
         if about := "; ".join(filter(None, (law, diagnosis.consequences.get(label)))):
             out.text(f"{label}: {about}.")
+    if whose := whose_forces(diagnosis.final):
+        out.text(f"{whose[0].upper()}{whose[1:]}.")
     if len(diagnosis.accepted) > 1:
         weights = (f"{a.label} {as_times(a.chi2)}" for a in diagnosis.accepted)
         out.text(f"χ² that the final model would leave more without each: {'; '.join(weights)}.")

@@ -61,15 +61,16 @@ def placed_by_scan(effect: Effect, base: CaseFit) -> Effect:
 
 
 def fit_text(before: CaseFit, found: Comparison) -> str:
-    """A fit without effects and one with them, as it was judged, side by side."""
+    """A fit without effects and one with them, as it was judged, side by side; the one where nothing was added."""
     after = found.fit
     names = _added(before, after)
-    head = ("experiment", "role", "base", f"with {', '.join(names)}", "noise alone below")
+    fits = {"base": before if names else after} | ({f"with {', '.join(names)}": after} if names else {})
+    head = ("experiment", "role", *fits, "noise alone below")
     rows = [
-        (b.name, b.role, as_times(b.rms), as_times(a.rms), f"{np.sqrt(a.gate):.3g}")
-        for b, a in zip(before.errors, after.errors, strict=True)
+        (a.name, a.role, *(as_times(fit.errors[k].rms) for fit in fits.values()), f"{np.sqrt(a.gate):.3g}")
+        for k, a in enumerate(after.errors)
     ]
-    chi2 = f"χ²/dof of the fitted readings {as_times(before.chi2_per_dof)} -> {as_times(after.chi2_per_dof)}"
+    chi2 = f"χ²/dof of the fitted readings {' -> '.join(as_times(fit.chi2_per_dof) for fit in fits.values())}"
     lines = [f"{after.case.name}: {after.status}; {chi2}", "rms of deviation over noise:", aligned([head, *rows])]
     lines += [found.verdict, *(f"  {failure}" for failure in found.failures)]
     lines += [f"  {line}" for line in (found.alone, short_of_its_valley(before, after)) if line] + ["Fitted:"]

@@ -82,6 +82,8 @@ def design(file: CaseFile, source: Source, words: Vocabulary) -> dict[str, Desig
                 if key in file.design:
                     raise InputError(f"must not stand beside {key}, which it gives; leave one of them out")
                 values[key] = _instead(file.design[other.key], other, values)
+                if other.key == "mass":
+                    values["mass"] = _design_value(file.design["mass"], other.unit, other.positive)
             continue
         with source.section("design", key):
             given = file.design.get(key)

@@ -66,8 +66,9 @@ def _head(case: Case) -> list[str]:
         key: "{ unknown = true }"
         if v.unknown
         else f"{{ value = {_number(v.value)}, low = {_number(v.low)}, high = {_number(v.high)}, "
-        f"unit = {_text(words.design[key])} }}"
+        f"unit = {_text(words.design.get(key, 'kg'))} }}"
         for key, v in case.design.items()
+        if key != "static_gain" or case.holds_gain
     }
     around = {
         "temperature": _quantity(case.environment.temperature, "K"),
