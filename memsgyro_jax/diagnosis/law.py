@@ -108,7 +108,7 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
     Raises:
         InputError: where too few rows show the axis.
     """
-    given, mass = equations(fit, axis), 1.0 / abs(float(fit.model.device.mobility))
+    given = equations(fit, axis)
     sizes, grids, tables = splines(given)
     columns = given.columns(*tables.values())
     weight = given.robust(columns)
@@ -119,13 +119,14 @@ def draw_law(fit: CaseFit, axis: int = 0, *, terms: int = TERMS, spline: bool = 
         chosen = _grown(plain, terms)
         left, found, stiff = chosen.left, chosen.found, sum(t.kind == "stiffness" for t in chosen.terms)
         places = (0, 1 + stiff, 2 + len(chosen.terms))
+    beside = _beside(fit, axis, given, found[places[0]], found[places[1]], found[places[2] :])
+    mass = 1.0 / abs(float((fit.model if fit.joint.gain is None else beside).device.mobility))
     values = tuple(mass * found[p + 1 : p + KNOTS] for p in places[:2]) if spline else ()
     seen = tuple((float(z.min()), float(z.max())) for z in sizes.values())
     return DrawnLaw(
         measured=fit.case, axis=axis, terms=() if spline else chosen.solved(mass),
         knots=tuple(grids.values()) if spline else (), values=values, seen=(seen[0], seen[1]),
-        left=(plain.left, left),
-        beside=_beside(fit, axis, given, found[places[0]], found[places[1]], found[places[2] :]),
+        left=(plain.left, left), beside=beside,
     )  # fmt: skip
 
 
@@ -152,6 +153,7 @@ def _beside(
     stiff[axis] = max(stiff[axis] + stiffness, 0.25 * stiff[axis])
     damp[axis] = max(damp[axis] + damping, STILL * damp[axis])
     mobility = device.mobility * max(float(np.hypot(1.0 + gain, phase)), 0.01)
+    mobility = mobility if fit.joint.gain is None else fit.joint.gain * stiff[axis]
     model = eqx.tree_at(lambda m: m.device, fit.model, NormalisedDevice(stiff, damp, mobility))
     if not len(nuisances):
         return model

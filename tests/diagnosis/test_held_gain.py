@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 
 from memsgyro_jax.diagnosis.estimates import whose_forces
 from memsgyro_jax.diagnosis.fit import fit_case
+from memsgyro_jax.diagnosis.law import draw_law
 from memsgyro_jax.effects import QuadraticDamping
 from memsgyro_jax.measurement.case import load_case, write_case
 
@@ -88,3 +89,15 @@ def test_a_mass_that_is_declared_stays(decay, tmp_path):
         (found,) = [e for e in fit.estimates if e.name == "quadratic_damping x"]
         assert found.value == pytest.approx(2e-6 * DRAG * 1e6, rel=0.02)  # 1 V is a micrometre
         assert whose_forces(fit) == ""
+
+
+def test_a_law_that_is_drawn_is_that_of_the_same_device(decay):
+    """Also where the linear device that stands beside it is another one than the base model."""
+    drawn = draw_law(fit_case(case_of(decay, 44.0)), terms=1)
+    device = drawn.beside.device
+    assert float(device.mobility) == pytest.approx(float(device.stiffness[0]), rel=1e-12)
+    (term,) = drawn.terms
+    assert term.kind == "damping"
+    speed = 0.5 * term.size
+    drawn_force = term.strength * speed * 0.5**term.exponent
+    assert drawn_force == pytest.approx(DRAG / OMEGA**2 * speed**2, rel=0.2)  # it is not fitted yet
