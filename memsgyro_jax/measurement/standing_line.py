@@ -1,6 +1,6 @@
 """Lines that stand in a record beside what the device does: of the mains, of another instrument."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -91,9 +91,28 @@ def without_lines(time: np.ndarray, signals: np.ndarray, lines: Sequence[Standin
     return signals - _drawn(time, _phasors(time, signals, omega)[0], omega, signals) if lines else signals
 
 
-def _periodogram(time: np.ndarray, signals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angular frequencies (k,) and power (k,) of rows under Hann's window, all channels together."""
-    windowed, period = signals * np.hanning(len(time))[:, None], (time[-1] - time[0]) / (len(time) - 1)
+def without_steady_lines(time: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """A signal (n,) at even times [s] without the lines that stand in it, where nothing is known of what vibrates.
+
+    A vibration that hardly falls stands there as a line does: as the one beside which most is left, since it falls, or
+    as the strongest where only noise is left. That one is kept.
+    """
+    rows, bins = signal[:, None] - signal.mean(), 2 * np.pi * NEAR / (time[-1] - time[0])
+    lines = standing_lines(time, rows, np.zeros(0), np.inf)
+    freq, power = _periodogram(time, without_lines(time, rows, lines), np.ones)  # Hann's would hide how a decay begins
+    top, noise = np.argmax(power), np.median(power) / np.log(2.0)
+    alone = power[top] < noise * np.log(power.size / CHANCE)
+    near = [abs(line.omega - freq[top]) < bins for line in lines]
+    itself = 0 if alone else near.index(True) if any(near) else -1
+    others = [line for k, line in enumerate(lines) if k != itself]
+    return without_lines(time, signal[:, None], others)[:, 0]
+
+
+def _periodogram(
+    time: np.ndarray, signals: np.ndarray, window: Callable[[int], np.ndarray] = np.hanning
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angular frequencies (k,) and power (k,) of rows under a window, Hann's, all channels together."""
+    windowed, period = signals * window(len(time))[:, None], (time[-1] - time[0]) / (len(time) - 1)
     turns = np.iscomplexobj(signals)
     lines = (np.fft.fft if turns else np.fft.rfft)(windowed, axis=0)
     freq = (np.fft.fftfreq if turns else np.fft.rfftfreq)(len(time), period)
