@@ -98,7 +98,8 @@ def without_steady_lines(time: np.ndarray, signal: np.ndarray) -> np.ndarray:
     as the strongest where only noise is left. That one is kept.
     """
     rows, bins = signal[:, None] - signal.mean(), 2 * np.pi * NEAR / (time[-1] - time[0])
-    lines = standing_lines(time, rows, np.zeros(0), np.inf)
+    late = slice(len(time) // 2, None)  # where most of what dies out is gone
+    lines = standing_lines(time[late], rows[late], np.zeros(0), np.inf)
     freq, power = _periodogram(time, without_lines(time, rows, lines), np.ones)  # Hann's would hide how a decay begins
     top, noise = np.argmax(power), np.median(power) / np.log(2.0)
     alone = power[top] < noise * np.log(power.size / CHANCE)
