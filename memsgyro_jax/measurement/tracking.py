@@ -60,9 +60,9 @@ class Track:
 
     @property
     def usual(self) -> tuple[float, float]:
-        """Angular frequency [rad/s] and decay rate [1/s], means weighted with the squared amplitude over the windows that
-        are seen, or all where none is; of the decay where two or more are seen, by how the amplitude falls between
-        them, which tells it far better than they do.
+        """Angular frequency [rad/s] and decay rate [1/s], means weighted with the squared amplitude over the windows in
+        which it is seen, or all where there are none; of the decay where there are two or more, by how the amplitude
+        falls between them, which tells it far better than they do.
         """
         seen = self.seen
         told = seen if seen.time.size else self

@@ -38,7 +38,9 @@ def test_without_scales_a_unit_is_that_of_the_records(case):
     shown = {unit: unit_of_records(bare, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)")}
     assert [*shown.values()] == ["V/V³", "V·s²/V²", "1/V", "rad²/s²", "V/(V·s²)", "V/(V·V²)"]
     plain = replace(bare, readout=Readout(1.0, unit="1", displacement="1"))
-    shown = {unit: unit_of_records(plain, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)", "m")}
+    shown = {
+        unit: unit_of_records(plain, unit) for unit in ("N/m³", "N·s²/m²", "1/m", "rad²/s²", "1/kg", "N/(m·V²)", "m")
+    }
     assert [*shown.values()] == ["V", "V·s²", "1", "rad²/s²", "1/(V·s²)", "V/(V²)", "1"]
     assert unit_of_records(replace(bare, readout=case.readout), "N/m³") == "V/m³"
     assert unit_of_records(case, "N/m³") == "N/m³"
