@@ -8,7 +8,7 @@ import numpy as np
 
 
 CHANCE = 1e-6  # that noise alone makes a line of one of all bins of a record
-BESIDE, NEAR = 24, 4  # bins that tell what is beside one, and that belong to itself under Hann's window
+BESIDE, WIDE, NEAR = 24, 240, 4  # bins that tell what is beside one, and that are its own under Hann's window
 QUIET = 0.25  # of the bins beside one, in order of their power, the last that tells: other lines may stand among them
 PARTS = 4  # of a record, in each of which a line must be as strong
 EVEN, SIGMAS = 0.1, 4.0  # share of itself, and standard deviations, by which it may be another there
@@ -121,11 +121,11 @@ def _periodogram(
     return 2 * np.pi * freq[order], np.sum(np.abs(lines[order]) ** 2, axis=1)
 
 
-def _beside(power: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The mean of the bins beside some, without their own, as the quiet ones of them tell it."""
-    wide = np.pad(power, BESIDE, mode="reflect")
-    every = np.lib.stride_tricks.sliding_window_view(wide, 2 * BESIDE + 1)[places]
-    kept = np.abs(np.arange(-BESIDE, BESIDE + 1)) > NEAR
+def _beside(power: np.ndarray, places: np.ndarray, reach: int = BESIDE) -> np.ndarray:
+    """The mean of the bins beside some, as far as they reach, without their own, as the quiet ones of them tell it."""
+    wide = np.pad(power, reach, mode="reflect")
+    every = np.lib.stride_tricks.sliding_window_view(wide, 2 * reach + 1)[places]
+    kept = np.abs(np.arange(-reach, reach + 1)) > NEAR
     return np.quantile(every[:, kept], QUIET, axis=1) / -np.log1p(-QUIET)
 
 
@@ -133,8 +133,10 @@ def _is_line(power: np.ndarray) -> np.ndarray:
     """Where a bin is the highest of its neighbours, and higher than noise makes one of all."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(power, NEAR), 2 * NEAR + 1)
     peaks = np.flatnonzero((power >= around.max(axis=1)) & (power > 0.0))
+    for reach in (BESIDE, WIDE):  # what is near tells the noise where it rises, but so few bins scatter by a half
+        peaks = peaks[power[peaks] > _beside(power, peaks, reach) * np.log(power.size / CHANCE)]
     out = np.zeros(power.size, bool)
-    out[peaks] = power[peaks] > _beside(power, peaks) * np.log(power.size / CHANCE)
+    out[peaks] = True
     return out
 
 
