@@ -28,7 +28,7 @@ def ringing(seed, turn=0.0, lasts=0.6):
     time = np.arange(int(lasts * RATE)) / RATE
     phase = np.outer(time, 2 * np.pi * HERTZ)
     phase[:, 0] += turn * -np.expm1(-2 * SLOW[0] * time) / (2 * SLOW[0])
-    motion = np.exp(-np.outer(time, SLOW)) * np.sin(phase + [0.0, 1.0])
+    motion = np.exp(-np.outer(time, SLOW)) * np.sin(phase + np.array([0.0, 1.0]))
     return time, motion @ SHAPES.T + 1e-3 * np.random.default_rng(seed).standard_normal(motion.shape)
 
 

@@ -1,12 +1,13 @@
 """Free decay: a vibration that dies out, whatever made it; how it began is solved for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 from pydantic import Field, StrictBool
+from scipy.signal import hilbert
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
@@ -26,6 +27,7 @@ from .decay_pieces import FreeDecay
 from .deviation import Deviation, Series, in_phase, segments
 from .missing_force import TimeForce
 from .sheet import Sheet
+from .unknown_start import put_back
 
 
 NEARBY = 1.2  # of the frequency that a channel shows most: as high vibrates what shows less in it
@@ -260,7 +262,19 @@ class FreeDecayRecord(WaveformRecord):
             levels.append(noise_beside_tone(self.time, signal[:, None], omega))
         return float(np.median(levels)), freedom_over_time(self.signals[:, channels])
 
+    def _with_starts(self, deviation: Deviation) -> Deviation:
+        """As far from the model as readings are whose starts were known."""
+        white, predicted = deviation.white.copy(), np.nan_to_num(deviation.predicted)
+        if self.reference_frequency is None:
+            predicted = hilbert(predicted - np.asarray(deviation.model.offset), axis=0)
+        waves = np.where(np.isfinite(white).all(axis=-1), predicted / self.noise_of_rows, 0.0)
+        for readings in deviation.readings:
+            pieces = readings.row.reshape(len(readings.experiment.start), -1)
+            white[pieces] = put_back(white[pieces], waves[pieces])
+        return replace(deviation, white=white)
+
     def series(self, deviation: Deviation) -> Series:
+        deviation = self._with_starts(deviation)
         if self.reference_frequency is None:
             return super().series(deviation)
         turned = in_phase(deviation.white, deviation.predicted)
