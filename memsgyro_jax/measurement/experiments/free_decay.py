@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
@@ -149,14 +150,19 @@ class FreeDecayRecord(WaveformRecord):
 
     def _modes(self, declared: Declared) -> list[Track]:
         """The vibrations of two channels, each by itself, where they are seen."""
-        asked = ("modes", declared.resonances)
-        if asked not in self._tracks:
+        asked = declared.resonances
+        if asked not in self._apart:
             reference, louder = self.reference_frequency or 0.0, max(self.free_modes(declared))[1]
             rows = max(1, int(CYCLES * 2 * np.pi / louder / self.period))
             apart = modes_apart(self.time, self.signals, louder - reference, rows)
-            band = REACH[0] * declared.resonances[0], REACH[1] * declared.resonances[1]
-            self._tracks[asked] = [tracked(self.time, mode, band, reference=reference).seen for mode in apart.T]
-        return self._tracks[asked]
+            band = REACH[0] * asked[0], REACH[1] * asked[1]
+            self._apart[asked] = [tracked(self.time, mode, band, reference=reference).seen for mode in apart.T]
+        return self._apart[asked]
+
+    @cached_property
+    def _apart(self) -> dict[tuple[float, float], list[Track]]:
+        """The vibrations that were told apart, by what was asked."""
+        return {}
 
     def _whole(self, rows: int) -> np.ndarray:
         """Numbers of the rows that whole pieces of `rows` hold, none of which reaches over a long gap."""
@@ -269,6 +275,7 @@ class FreeDecayRecord(WaveformRecord):
             predicted = hilbert(predicted - np.asarray(deviation.model.offset), axis=0)
         waves = np.where(np.isfinite(white).all(axis=-1), predicted / self.noise_of_rows, 0.0)
         for readings in deviation.readings:
+            assert isinstance(readings.experiment, FreeDecay)
             pieces = readings.row.reshape(len(readings.experiment.start), -1)
             white[pieces] = put_back(white[pieces], waves[pieces])
         return replace(deviation, white=white)
