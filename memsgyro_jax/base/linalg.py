@@ -4,6 +4,7 @@ LAPACK takes them one by one and, called from compiled loops on several threads,
 written out vectorises over the batch. In the step of the loop even arrays cost too much: see `device.small`.
 """
 
+import math
 from collections.abc import Sequence
 
 import jax
@@ -135,18 +136,27 @@ def exponential(matrix: Shaped[Array, "n n"]) -> Shaped[Array, "n n"]:
     return jax.lax.fori_loop(0, squarings, lambda _, m: m @ m, total)
 
 
-def exponential_and_means(matrix: Shaped[Array, "n n"]) -> tuple[Array, Array, Array]:
-    """e^M, φ₁(M) = ∫₀¹ e^{Mτ} dτ and φ₂(M) = ∫₀¹ (1 − τ) e^{Mτ} dτ, by scaling and squaring as `exponential`."""
+def exponential_and_means(matrix: Shaped[Array, "n n"], highest: int = 2) -> tuple[Array, ...]:
+    """e^M and φ_k(M) = ∫₀¹ (1 − τ)^{k−1}/(k − 1)! · e^{Mτ} dτ up to the `highest`, by scaling and squaring as
+    `exponential`.
+    """
     squarings, scaled = _scaled(matrix)
     one = jnp.eye(matrix.shape[-1], dtype=matrix.dtype)
-    second = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (20 - k), one) / 2
-    first = one + scaled @ second
+    last = jax.lax.fori_loop(0, 18, lambda k, total: one + scaled @ total / (18 + highest - k), one)
+    parts = [last / math.factorial(highest)]
+    for order in range(highest - 1, -1, -1):
+        parts.insert(0, one / math.factorial(order) + scaled @ parts[0])
 
-    def double(_: int, parts: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        power, first, second = parts
-        return power @ power, (first + power @ first) / 2, (second + first + power @ second) / 4
+    def double(_: int, parts: tuple[Array, ...]) -> tuple[Array, ...]:
+        power, out = parts[0], [parts[0] @ parts[0]]
+        for order, part in enumerate(parts[1:], 1):
+            total = part
+            for lower in range(order - 1, 0, -1):
+                total = total + parts[lower] / math.factorial(order - lower)
+            out.append((total + power @ part) / 2**order)
+        return tuple(out)
 
-    return jax.lax.fori_loop(0, squarings, double, (one + scaled @ first, first, second))
+    return jax.lax.fori_loop(0, squarings, double, tuple(parts))
 
 
 def _scaled(matrix: Shaped[Array, "n n"]) -> tuple[Array, Array]:

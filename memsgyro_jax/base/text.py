@@ -85,7 +85,7 @@ def combination(weights: Sequence[float], names: Sequence[str], least: float = 0
 
 def beside(value: float, std: float, digits: int = 5) -> str:
     """A value with the digits that its standard deviation leaves it, `digits` at least, and twelve at most."""
-    told = 0.0 < std < math.inf and value
+    told = 0.0 < std < math.inf and math.isfinite(value) and value
     places = math.floor(math.log10(abs(value))) - math.floor(math.log10(std)) + 2 if told else 0
     if told and digits <= places <= 12:  # all digits stand, zeros at the end too
         return f"{value:#.{places}g}".rstrip(".")

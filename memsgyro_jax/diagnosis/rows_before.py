@@ -10,16 +10,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex
+from jaxtyping import Array, Complex, PyTree
 from scipy import optimize
 
+from memsgyro_jax.base.few_at_a_time import over_rows
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.plainly import PLAINLY
+from memsgyro_jax.base.transforms import from_vector
 from memsgyro_jax.effects.base import Effect, LockInEffect, UntilNow
 from memsgyro_jax.effects.lock_in_poles import MOST_POLES, LockInFilter, shares_of
 from memsgyro_jax.effects.lock_in_terms import LockInMemory
 from memsgyro_jax.measurement.experiments import Readings
-from memsgyro_jax.measurement.lock_in import until_now
+from memsgyro_jax.measurement.lock_in import BentCourse, rows_and_ages, until_now
 from memsgyro_jax.measurement.model import Model
 
 from .acceptance import BEYOND_LINEAR, excess
@@ -35,6 +37,7 @@ from .search import Ranking, Search
 SOME = (1, 4)  # poles, by which a lag is first looked for
 LAGS = np.geomspace(0.05, 8.0, 22)  # of the usual time between rows
 NEXT = float(np.log(LAGS[1] / LAGS[0]))  # from one of them to the next
+FEWER = 6  # parts of a row of a bent resonance, which tell a filter to a tenth of the noise of a clear record
 STEPS = 3  # of the device, which without the filter is broader than it is
 SHORTEST = 0.3  # of a rate of decay or a stiffness, to which it goes at once
 
@@ -163,12 +166,11 @@ class _Sought(NamedTuple):
     def _best(self, joint: Joint, vector: np.ndarray, free: np.ndarray) -> _Found:
         """The best filter, and a step of the device beside it."""
         columns, left, others = self._told(joint, vector, free)
-        moved = _moved(joint.at(vector).present, jnp.asarray(columns), self.sweep)
-        moved = jax.tree.map(lambda leaf: leaf[self.fits], moved)
         measured, std = np.asarray(self.sweep.measured)[self.fits], self.std[self.fits]
+        seen = self._seen(joint, vector, free, columns)
 
         def tried(tau: float, poles: int) -> tuple[float, np.ndarray]:
-            read = np.asarray(_read(jnp.asarray(tau), jnp.asarray(float(poles)), moved))
+            read = np.asarray(seen(jnp.asarray(tau), jnp.asarray(float(poles))))
             misfit, by = _real((measured - read[..., 0]) / std), _real(read[..., 1:] / std[..., None])
             return _step(np.concatenate([misfit, left]), np.concatenate([-by, others]))
 
@@ -182,6 +184,22 @@ class _Sought(NamedTuple):
         at[free] += step
         at[free] = np.where(low >= 0, np.maximum(at[free], SHORTEST * vector[free]), at[free])
         return _Found(chi2, tau, poles, at)
+
+    def _seen(
+        self, joint: Joint, vector: np.ndarray, free: np.ndarray, columns: np.ndarray
+    ) -> Callable[[Array, Array], Array]:
+        """What a filter shows (n, channels, columns) of rows that settle to these columns, phasors and their slopes by
+        what is free, as it depends on its time constant and poles.
+        """
+        model = joint.at(vector).present
+        if self.sweep.unsettled is None or model.is_linear:
+            moved = jax.tree.map(lambda leaf: leaf[self.fits], _moved(model, jnp.asarray(columns), self.sweep))
+            return lambda tau, poles: _read(tau, poles, moved)
+        acting = tuple(i for i, e in enumerate(joint.at(vector).effects) if np.any(np.asarray(e.strength) != 0))
+        units = jnp.asarray(np.eye(vector.size)[free])
+        courses = _courses(jnp.asarray(vector), units, joint.model, joint.spec, acting, self.sweep)
+        before = jax.tree.map(lambda leaf: leaf[self.fits], rows_and_ages(self.sweep.rows_before))
+        return lambda tau, poles: _read_bent(tau, poles, *courses, before)
 
     def _told(self, joint: Joint, vector: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Phasors to which the device settles in all rows and their slopes by what is free (1 + p, n, channels);
@@ -230,8 +248,40 @@ def _read_of(tau: Array, poles: Array, moved: UntilNow) -> Complex[Array, "n axe
     return jax.vmap(row)(moved)
 
 
+def _courses_of(
+    vector: Array, ways: Array, model: Model, spec: PyTree, acting: tuple[int, ...], sweep: Any
+) -> tuple[BentCourse, BentCourse]:
+    """How a device that is not linear went from row to row, with the effects at some places, and the slopes of that
+    along some ways (p, parameters).
+    """
+
+    def course(vector: Array) -> BentCourse:
+        whole = from_vector(vector, model, spec)
+        return sweep.course(whole.with_only(whole.effects[i] for i in acting), FEWER)
+
+    value, along = jax.linearize(course, vector)
+    return value, jax.vmap(along)(ways)
+
+
+def _read_bent_of(
+    tau: Array, poles: Array, course: BentCourse, slopes: BentCourse, before: tuple[Array, Array, Array]
+) -> Complex[Array, "n axes c"]:
+    """What a filter shows of such a course, and of its slopes."""
+
+    def row(*before: Array) -> Array:
+        def seen(course: BentCourse) -> Array:
+            moved = course.until_now(*before)
+            return shares_of(tau, poles, moved).of(moved)
+
+        value, along = jax.linearize(seen, course)
+        return jnp.concatenate([value[:, None], jax.vmap(along, out_axes=1)(slopes)], axis=1)
+
+    return over_rows(row, *before)
+
+
 BY_MOTION, OF_A_ROW = UntilNow(1, 1, None, None, None, None), UntilNow(0, 0, None, None, None, None)
 _moved, _read = kept(_moved_of, PLAINLY), kept(_read_of, PLAINLY)
+_courses, _read_bent = kept(_courses_of, PLAINLY), kept(_read_bent_of)
 
 
 def _finer(misfit: Callable[[float], float], begin: float) -> tuple[float, float]:

@@ -5,6 +5,7 @@ read.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import fftconvolve
 
 from .experiments.clipping import clipped_rows
 from .experiments.converter_steps import lost_in_steps, rms_around
@@ -12,12 +13,16 @@ from .noise import noise_over_time
 
 
 _LOUD = 0.9  # of the largest envelope: the decay has not begun
+_FIRST = 0.02  # of the rows: a decay that begins in them begins with the first
+_LOUDER = 1.05  # times the rows that count: what is said of those before
+_PERIODS = 4  # in a window at least over which the size of a vibration is told
+_UNSURE = 0.3  # of the fall over a window, by which noise may change it
 _FALLEN = 0.02  # in natural logarithms: an envelope that falls by less is kept up
 _EARLY = 0.94  # of the usual fall: an envelope that falls by so much in its first quarter falls from the start
 _SEEN = 10.0  # standard deviations of noise from which a phasor counts
 _ROWS = 24  # in which a rise can be told from a decay
 _SURE, _SLOWER = 10.0, 0.5  # standard deviations by which phasors would have fallen; share of it that is a slow start
-_KEPT_UP, _RISING, _HALF = 0.99, 0.9, 0.5  # of the largest phasor
+_KEPT_UP, _RISING, _HALF = 0.99, 0.9, 0.5  # of the largest phasor or envelope
 _QUICKER, _STANDS_OUT = 10.0, 20.0  # than the decay is what a filter leaves; χ² that it must explain
 _MORE = 0.5  # of the time that it is seen for, until it is gone
 _DIES, _OTHER = 0.5, 0.03  # in natural logarithms: a fall that tells a decay; a part that is of another vibration
@@ -42,11 +47,11 @@ def part_of_decay(signal: np.ndarray, unit: str, fewest: int) -> DecayRows:
 
     It begins where its envelope was last near its largest, or is no longer clipped.
     """
-    rows, begin, why = len(signal), begin_of_decay(signal), "begins at {}, where its envelope falls for good"
-    if begin <= 0.02 * rows:
-        begin, why = 0, ""
+    rows, begin = len(signal), begin_of_decay(signal)
+    why = "begins at {}, where its envelope falls for good" if begin else ""
     if begin < (whole := _behind_clipping(signal)) < rows - fewest:
         begin, why = whole, "begins at {}, where it is no longer clipped, as at the end of a range"
+    why += _louder_before(signal, begin, unit)
     end, step = lost_in_steps(signal)
     if end == rows or end - begin < fewest:
         return DecayRows(begin, rows, why)
@@ -54,11 +59,51 @@ def part_of_decay(signal: np.ndarray, unit: str, fewest: int) -> DecayRows:
     return DecayRows(begin, end, why, f"ends at {{}}, {small}")
 
 
+def _louder_before(signal: np.ndarray, begin: int, unit: str) -> str:
+    """How loud the rows before the first are that counts, in words; empty where they are not louder."""
+    size = np.abs(signal - np.median(signal))
+    before, after = np.max(size[:begin], initial=0.0), np.max(size[begin:])
+    if before < _LOUDER * after:
+        return ""
+    return f"; louder rows before it, up to {before:.3g} {unit} beside {after:.3g} {unit}, are left out"
+
+
 def begin_of_decay(signal: np.ndarray) -> int:
-    """The row (n,) from which on a waveform dies out: where its envelope was last near its largest, or the first."""
-    width = max(len(signal) // 50, 3)
-    envelope = rms_around(signal - np.mean(signal), width)
-    return 0 if _falls_from_the_start(envelope, width) else int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    """The row (n,) from which on a waveform dies out: behind where its envelope was last near its largest, told to a
+    few periods where noise allows it, or the first.
+    """
+    width, moved = max(len(signal) // 50, 3), signal - np.mean(signal)
+    envelope = rms_around(moved, width)
+    if _falls_from_the_start(envelope, width):
+        return 0
+    late = int(np.flatnonzero(envelope >= _LOUD * envelope.max())[-1])
+    return _told_finely(moved, late, envelope) if late > _FIRST * len(signal) else 0
+
+
+def _told_finely(moved: np.ndarray, late: int, envelope: np.ndarray) -> int:
+    """From where on the vibration that dies out at the row `late` has fallen as fast as there.
+
+    Its size is told over windows so long that the fall from one to the next is sure beside the noise; where that asks
+    for as many rows as the `envelope` (n,) was told over, that row remains.
+    """
+    width = max(len(moved) // 50, 3)
+    after = moved[late : late + width + 1]
+    if len(after) <= width:
+        return late
+    omega = 2 * np.pi * np.argmax(np.abs(np.fft.rfft(after * np.hanning(width + 1), 8 * width))) / (8 * width)
+    rate = np.log(envelope[late] / envelope[late + width]) / width
+    unclear = noise_over_time(moved[:, None]) / (np.sqrt(2.0) * envelope[late])
+    sure = (_SEEN * unclear / max(_UNSURE * rate, 1e-300)) ** (2 / 3)
+    rows = int(np.ceil(min(width, max(sure, _PERIODS * 2 * np.pi / max(omega, 1e-300)))))
+    if rows >= width:
+        return late
+    part = moved[: late + 3 * rows]
+    turned = part * np.exp(-1j * omega * np.arange(len(part)))
+    size = np.abs(fftconvolve(turned, np.hanning(rows + 2)[1:-1], mode="same"))
+    fall = np.log(size[:-rows] / size[rows:])
+    slower = np.flatnonzero(fall[: late + 1] < (1.0 - _UNSURE) * np.median(fall[late : late + rows]))
+    # A window in which less than `_UNSURE` was kept up falls so fast already: half a window more is none of it.
+    return min(late, int(slower[-1]) + 1 + rows // 2) if slower.size else late
 
 
 def _behind_clipping(signal: np.ndarray) -> int:
@@ -75,7 +120,7 @@ def _falls_from_the_start(envelope: np.ndarray, width: int) -> bool:
     halved = whole < 0.5 * whole[0]
     end = int(np.argmax(halved)) if halved.any() else len(whole) - 1
     quarter, fall = end // 4, float(np.log(whole[0] / whole[end]))
-    if quarter < width or fall < _FALLEN:
+    if quarter < width or fall < _FALLEN or whole[0] < _HALF * whole.max():
         return False
     return bool(4.0 * np.log(whole[0] / whole[quarter]) > _EARLY * fall)
 

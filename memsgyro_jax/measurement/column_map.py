@@ -35,7 +35,7 @@ def parse_map(text: str) -> dict[str, str]:
         if not equals or not right.strip() or role not in (*ROLES, *SHORT.values()):
             raise InputError(
                 f'Option `--map` must read "role=column,..." with roles among {", ".join(ROLES)} (or X, Y, R, theta, '
-                f"x_I, x_Q, x_amp, x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, F_y), "
+                f"x_I, x_Q, x_amp, x_phase, x, u_x, F_x; of a second channel y_I, y_Q, y_amp, y_phase, y, F_y), "
                 f"but has `{printable(part, 60)}`."
             )
         if left.strip() == "y" and "signal" in pairs:  # beside x

@@ -30,7 +30,7 @@ _NAMED = {
     "drive": r"drive|excit|force|stimul|generator|source|\binput\b|level|set ?point|control|sig(nal)? ?out|current|"
     r"exc\b|osc\b|^(f [xy]|u|u [xy]|output)$|amplitude set|anregung",
     "phase": r"\bphase|theta|\bphi\b|\barg\b|angle",
-    "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bgain\b|^s\d\d db$",
+    "amp": r"^r$|\bamp\b|ampl\b|amplitude|magnitude|\bmag\b|\babs\b|modulus|\bbetrag\b|\bgain\b|^s\d\d db$",
 }
 _DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part of them
     r"([vu] ?(dc|b)|dc (voltage|volts?)|voltage dc|polari[sz](ation|ing) voltage)"
@@ -308,8 +308,11 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
         part = role.removeprefix("y_")
         meant = [*found.get(role, []), *found.get(part, [])]
         candidates = [c for c in meant if c.name in [left.name for left in rest]]
-        candidates = candidates or [c for c in rest if role_of(c) in ("", "signal", part)]
-        if candidates or part != "phase":
+        alike = [c for c in rest if role_of(c) in ("", "signal", part)]
+        candidates = candidates or [c for c in alike if role != "t" or np.all(np.diff(c.values) > 0)]
+        if role == "t" and not candidates:
+            pairs.append("t=time [s]")
+        elif candidates or part != "phase":
             pairs.append(f"{words.get(role, role)}={candidates[0].header if candidates else 'COLUMN'}")
             rest = [c for c in rest if not candidates or c.name != candidates[0].name]
     drives = found.get("drive", []) if roles[0] == "t" else []
@@ -317,8 +320,9 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
     names = listed([column.header for column in table.columns], "`")
     where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
     second = " (`y=` for that of a second axis)" if roles == ("t", "signal") and "signal" in found else ""
+    clock = ' with --sample-rate "50 kHz", or whatever it was, as no column is a time' * (pairs[0] == "t=time [s]")
     return InputError(
-        f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}.'
+        f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}{clock}.'
     )
 
 

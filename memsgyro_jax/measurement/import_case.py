@@ -29,6 +29,7 @@ from .imported_sweep import is_ratio
 from .left_out_drive import left_out_drive
 from .options_of_files import Level, joined_files, levels_of_files, of_joined
 from .records_together import agreed, turned_alike, without_copies
+from .sample_clock import with_clock
 from .told_beside import NO_LEVEL
 
 
@@ -103,6 +104,7 @@ def import_case(
     drive: Sequence[str] = (),
     axis: Sequence[str] = (),
     reference: str = "",
+    sample_rate: str = "",
     bias: Sequence[str] = (),
     temperature: Sequence[str] = (),
     every: int | None = None,
@@ -130,6 +132,7 @@ def import_case(
             column F_x or F_y nor the name of file or folder (``drive_x_10mV``) says it, or says it wrongly; ``"-"``
             for one that does.
         reference: frequency of a lock-in that recorded over time, or operating points, like ``"32.768 kHz"``.
+        sample_rate: of waveforms without a column of time where no attribute of the file tells it, like ``"50 kHz"``.
         bias: voltage of the electrodes, like ``"20 V"``, one for all files or one for each, where no column has it;
             ``"-"`` for a file of which nothing is said.
         temperature: like ``"25 degC"``, as `bias`.
@@ -153,7 +156,9 @@ def import_case(
     tuned = amount_of_option(reference, "--reference", "32.768 kHz", "Hz") if reference else None
     every = None if every is None else whole("every", every, 1)
     columns = [columns] if isinstance(columns, str) else list(columns)
+    rate = amount_of_option(sample_rate, "--sample-rate", "50 kHz", "Hz") if sample_rate else None
     files, read = [Path(path) for path in paths], [read_instrument_file(path) for path in paths]
+    read = [(form, tuple(with_clock(table, rate) for table in tables)) for form, tables in read]
     sources = [one.shown for one in names_of_files(files)]
     files, read, parts, maps = joined_files(files, read, columns)
     called = names_of_files(files)

@@ -187,16 +187,16 @@ class Model(Displayed):
         """
         if not self._acting.readouts:
             return shown
-        found = jax.vmap(lambda at, row: inverse(self._gain(at)) @ row)(conditions.rows(len(shown)), shown)
+        found = jax.vmap(lambda at, row: inverse(self.gain(at)) @ row)(conditions.rows(len(shown)), shown)
         return jnp.where(jnp.isfinite(found), found, shown)
 
     def shown(self, moved: Complex[Array, "n axes"], conditions: Conditions) -> Complex[Array, "n axes"]:
         """The inverse of `moved`."""
         if not self._acting.readouts:
             return moved
-        return jax.vmap(lambda at, row: self._gain(at) @ row)(conditions.rows(len(moved)), moved)
+        return jax.vmap(lambda at, row: self.gain(at) @ row)(conditions.rows(len(moved)), moved)
 
-    def _gain(self, conditions: Conditions) -> Float[Array, "axes axes"]:
+    def gain(self, conditions: Conditions) -> Float[Array, "axes axes"]:
         """What the read-out shows of a small motion along each axis, over its scale."""
         still = jnp.zeros(self.axes)
 

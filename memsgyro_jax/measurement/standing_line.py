@@ -1,6 +1,6 @@
 """Lines that stand in a record beside what the device does: of the mains, of another instrument."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 CHANCE = 1e-6  # that noise alone makes a line of one of all bins of a record
-BESIDE, NEAR = 24, 4  # bins that tell what is beside one, and that belong to itself under Hann's window
+BESIDE, WIDE, NEAR = 24, 240, 4  # bins that tell what is beside one, and that are its own under Hann's window
 QUIET = 0.25  # of the bins beside one, in order of their power, the last that tells: other lines may stand among them
 PARTS = 4  # of a record, in each of which a line must be as strong
 EVEN, SIGMAS = 0.1, 4.0  # share of itself, and standard deviations, by which it may be another there
@@ -91,9 +91,29 @@ def without_lines(time: np.ndarray, signals: np.ndarray, lines: Sequence[Standin
     return signals - _drawn(time, _phasors(time, signals, omega)[0], omega, signals) if lines else signals
 
 
-def _periodogram(time: np.ndarray, signals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angular frequencies (k,) and power (k,) of rows under Hann's window, all channels together."""
-    windowed, period = signals * np.hanning(len(time))[:, None], (time[-1] - time[0]) / (len(time) - 1)
+def without_steady_lines(time: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """A signal (n,) at even times [s] without the lines that stand in it, where nothing is known of what vibrates.
+
+    A vibration that hardly falls stands there as a line does: as the one beside which most is left, since it falls, or
+    as the strongest where only noise is left. That one is kept.
+    """
+    rows, bins = signal[:, None] - signal.mean(), 2 * np.pi * NEAR / (time[-1] - time[0])
+    late = slice(len(time) // 2, None)  # where most of what dies out is gone
+    lines = standing_lines(time[late], rows[late], np.zeros(0), np.inf)
+    freq, power = _periodogram(time, without_lines(time, rows, lines), np.ones)  # Hann's would hide how a decay begins
+    top, noise = np.argmax(power), np.median(power) / np.log(2.0)
+    alone = power[top] < noise * np.log(power.size / CHANCE)
+    near = [abs(line.omega - freq[top]) < bins for line in lines]
+    itself = 0 if alone else near.index(True) if any(near) else -1
+    others = [line for k, line in enumerate(lines) if k != itself]
+    return without_lines(time, signal[:, None], others)[:, 0]
+
+
+def _periodogram(
+    time: np.ndarray, signals: np.ndarray, window: Callable[[int], np.ndarray] = np.hanning
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angular frequencies (k,) and power (k,) of rows under a window, Hann's, all channels together."""
+    windowed, period = signals * window(len(time))[:, None], (time[-1] - time[0]) / (len(time) - 1)
     turns = np.iscomplexobj(signals)
     lines = (np.fft.fft if turns else np.fft.rfft)(windowed, axis=0)
     freq = (np.fft.fftfreq if turns else np.fft.rfftfreq)(len(time), period)
@@ -101,11 +121,11 @@ def _periodogram(time: np.ndarray, signals: np.ndarray) -> tuple[np.ndarray, np.
     return 2 * np.pi * freq[order], np.sum(np.abs(lines[order]) ** 2, axis=1)
 
 
-def _beside(power: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The mean of the bins beside some, without their own, as the quiet ones of them tell it."""
-    wide = np.pad(power, BESIDE, mode="reflect")
-    every = np.lib.stride_tricks.sliding_window_view(wide, 2 * BESIDE + 1)[places]
-    kept = np.abs(np.arange(-BESIDE, BESIDE + 1)) > NEAR
+def _beside(power: np.ndarray, places: np.ndarray, reach: int = BESIDE) -> np.ndarray:
+    """The mean of the bins beside some, as far as they reach, without their own, as the quiet ones of them tell it."""
+    wide = np.pad(power, reach, mode="reflect")
+    every = np.lib.stride_tricks.sliding_window_view(wide, 2 * reach + 1)[places]
+    kept = np.abs(np.arange(-reach, reach + 1)) > NEAR
     return np.quantile(every[:, kept], QUIET, axis=1) / -np.log1p(-QUIET)
 
 
@@ -113,8 +133,10 @@ def _is_line(power: np.ndarray) -> np.ndarray:
     """Where a bin is the highest of its neighbours, and higher than noise makes one of all."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(power, NEAR), 2 * NEAR + 1)
     peaks = np.flatnonzero((power >= around.max(axis=1)) & (power > 0.0))
+    for reach in (BESIDE, WIDE):  # what is near tells the noise where it rises, but so few bins scatter by a half
+        peaks = peaks[power[peaks] > _beside(power, peaks, reach) * np.log(power.size / CHANCE)]
     out = np.zeros(power.size, bool)
-    out[peaks] = power[peaks] > _beside(power, peaks) * np.log(power.size / CHANCE)
+    out[peaks] = True
     return out
 
 

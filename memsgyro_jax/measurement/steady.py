@@ -129,7 +129,7 @@ def steady_state(
         return jnp.eye(flat.size) - _harmonic_slopes(at_once(moments, drive_waveform(force, samples)[0]), push)
 
     linear = model.linear(conditions)
-    driven, push = _linear_response(model, omega, force, linear, harmonics)
+    driven, push = linear_response(model, omega, force, linear, harmonics)
     more = jnp.zeros((harmonics + 1, rows.size), complex) if added is None else _widened(added, rows.size)
     if model.is_linear:
         constant = model.derivative(jnp.zeros(model.size), jnp.zeros(model.axes), conditions)[rows]
@@ -151,7 +151,7 @@ def _widened(added: Complex[Array, "h axes"], rows: int) -> Complex[Array, "h k"
     return jnp.pad(added, ((0, 0), (0, rows - added.shape[1])))
 
 
-def _linear_response(
+def linear_response(
     model, omega, force, linear, harmonics: int
 ) -> tuple[Complex[Array, "h n"], Complex[Array, "h n n"]]:
     """The settled state of the linear part under the drive, and its response to a load, harmonic by harmonic."""

@@ -25,7 +25,15 @@ _REFERENCE = (re.compile(r"\b(?:reference|ref)\b"), re.compile(r"\b(?:oscillator
 _FREQUENCY = re.compile(r"\bfreq(?:uency)?\b")
 _OTHER = re.compile(r"\b(?:clock|units?|range|step|max|min|index|number)\b")
 _UNITS = ("unit", "units", "Unit", "Units")
-_LEVEL_NAMES = ("drive", "drive_level", "drive_amplitude", "drive_force", "drive_voltage", "excitation")  # attributes
+_LEVEL_NAMES = (
+    "drive",
+    "drive_level",
+    "drive_amplitude",
+    "drive_force",
+    "drive_voltage",
+    "excitation",
+    "anregung",
+)  # of files
 
 
 def _of_drive(levels: Sequence[re.Match[str]]) -> re.Match[str] | None:
@@ -55,8 +63,10 @@ def level_of(table: SourceTable, drive: Level | None, assumed: list[str]) -> dic
         (value, unit), words = found
         assumed.append(f"the drive is {words}, as the {whose}'s name says")
         return {"value": value, "unit": unit}
-    for name, word in table.attributes.items():
-        if name.lower() in _LEVEL_NAMES and (of_file := _LEVEL.fullmatch(word.strip())):
+    for name, text in table.attributes.items():
+        plain, unit = split_header(name)
+        level = text.strip() if not unit else f"{re.sub(r'(?<=[0-9]),(?=[0-9])', '.', text.strip())} {unit}"
+        if plain.lower() in _LEVEL_NAMES and (of_file := _LEVEL.fullmatch(level)):
             assumed.append(f"the drive is {of_file[1]} {of_file[2]}, as the file's attribute `{name}` says")
             return {"value": float(of_file[1].replace("p", ".")), "unit": of_file[2]}
     assumed.append(NO_LEVEL)
@@ -111,10 +121,12 @@ def reference_of(
         assumed.append(f"the reference is {level[0]:.10g} {level[1]}, as the file's attribute `{name}` says")
         return level
     bare = next((name for name, level in told.items() if not level[1]), "") if not clear else ""
+    pair = [rows[role].header for role in ("I", "Q") if role in rows]
+    waves = f', or as in --map "t={rows["t"].header},x={pair[0]},y={pair[1]}" if these are waveforms of two axes'
     beside = f" (its attribute `{bare}` says {table.attributes[bare]} without a unit)" if bare else ""
     raise InputError(
         f"{table.path}: the reference frequency of the lock-in must be known, but no column has it{beside}; give it as "
-        'in --reference "32.768 kHz".'
+        f'in --reference "32.768 kHz"{waves if len(pair) == 2 and "t" in rows else ""}.'
     )
 
 

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from .clock import usual_period
+from .standing_line import without_steady_lines
 
 
 CYCLES = 6  # of the vibration in a window at least
 ROWS = 12  # in a window at least
 ROUNDS = 8  # of moving the frequency
-STRAYED = 0.5  # of a frequency: a window that moves it farther shows no vibration there
+STRAYED = 0.5  # of a frequency: a window that moves it farther, or out of its band, shows no vibration there
 SURE = 2.0  # standard deviations by which a frequency must differ
 SEEN = 10.0  # standard deviations of its own from which an amplitude counts
 
@@ -59,12 +60,14 @@ class Track:
 
     @property
     def usual(self) -> tuple[float, float]:
-        """Angular frequency [rad/s] and decay rate [1/s], means weighted with the squared amplitude; of the decay where
-        two windows or more are seen, by how the amplitude falls between them, which tells it far better than they do.
+        """Angular frequency [rad/s] and decay rate [1/s], means weighted with the squared amplitude over the windows in
+        which it is seen, or all where there are none; of the decay where there are two or more, by how the amplitude
+        falls between them, which tells it far better than they do.
         """
-        weight = self.amplitude**2 / np.sum(self.amplitude**2)
-        omega, decay = float(weight @ self.omega), float(weight @ self.decay)
         seen = self.seen
+        told = seen if seen.time.size else self
+        weight = told.amplitude**2 / np.sum(told.amplitude**2)
+        omega, decay = float(weight @ told.omega), float(weight @ told.decay)
         if seen.time.size < 2:
             return omega, decay
         fall, _ = _slope(seen.time, np.log(seen.amplitude), 1.0 / seen.amplitude)
@@ -105,24 +108,39 @@ def tracked(
     period = usual_period(time)
     phasors = np.iscomplexobj(values)
     omega = _strongest(time, values, period, band, reference, max(64, len(values) // 8))
-    width = rows or max(ROWS, int(np.ceil(CYCLES * 2 * np.pi / omega / period)))
+    width = rows or _width(omega, period, phasors, len(time))
     width = min(width, len(time))
+    band = band if phasors else _apart(band, period, width)
+    omega = omega if phasors else float(np.clip(omega, *band))
     found: list[tuple[Any, ...]] = []
     for begin in range(0, len(time) - width + 1, width):
         middle = time[begin : begin + width].mean()
-        fitted = _phasors if phasors else _window
         some, away = values[begin : begin + width], time[begin : begin + width] - middle
         # A stiff spring's frequency falls so fast at first that that of many windows is none of the first.
         starts = (omega,) if found else (omega, _strongest(time, values, period, band, reference, width))
-        every = [fitted(some, away, start - reference) for start in starts]
+        every = [_phasors(some, away, w - reference) if phasors else _window(some, away, w, band) for w in starts]
         one = min(every, key=lambda told: told[1])
         found.append((middle, *one))
-        low, high = band
-        if low < one[2] + reference < high:
+        # From noise, which has no frequency, the next windows would begin anywhere.
+        if abs(one[0]) > SEEN * one[1] and band[0] < one[2] + reference < band[1]:
             omega = one[2] + reference
     columns = [np.array(column) for column in zip(*found, strict=True)]
     columns[3] = columns[3] + reference
     return Track(*columns)
+
+
+def _width(omega: float, period: float, phasors: bool, rows: int) -> int:
+    """Rows of a window: `CYCLES` of the vibration, and of a waveform as many of its beat with the sampling."""
+    beat = 2 * np.pi / period - 2.0 * omega
+    slow = omega if phasors or beat > omega else max(beat, 0.0)
+    return max(ROWS, int(np.ceil(min(CYCLES * 2 * np.pi / max(slow * period, 1e-300), max(rows // 8, 1)))))
+
+
+def _apart(band: tuple[float, float], period: float, width: int) -> tuple[float, float]:
+    """The part of a band in which a sine, a cosine and a constant are no sums of each other over a window of rows."""
+    cycle = 2 * np.pi / (width * period)
+    low, high = max(band[0], cycle), min(band[1], np.pi / period - cycle)
+    return (low, high) if low < high else band
 
 
 def _slope(time: np.ndarray, phase: np.ndarray, noise: np.ndarray) -> tuple[float, float]:
@@ -134,7 +152,9 @@ def _slope(time: np.ndarray, phase: np.ndarray, noise: np.ndarray) -> tuple[floa
 
 
 def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) -> dict[str, tuple[float, str]]:
-    """Frequency and quality factor of the strongest vibration, means over the record weighted with its energy.
+    """Frequency and quality factor of the strongest vibration that dies out, means weighted with its energy.
+
+    Lines that stand in the whole record, as of the mains, are none.
 
     Args:
         time: (n,) [s].
@@ -143,6 +163,8 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
     period, omega = usual_period(time), 2 * np.pi * reference
     slowest = 8 * np.pi / (period * len(time))
     band = (omega - np.pi / period if np.iscomplexobj(signal) else slowest, omega + np.pi / period)
+    if np.all(np.diff(time) < 1.5 * period):  # among lost rows lines are not told
+        signal = without_steady_lines(time, signal)
     track = tracked(time, signal, band, reference=omega)
     resonance, decay = track.usual
     quality = resonance / (2 * max(decay, 1e-9 * resonance))
@@ -162,9 +184,9 @@ def _strongest(
     return float(omega[np.argmax(size)])
 
 
-def _window(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...]:
-    """Phasor, its standard deviation, frequency, its, decay rate, its, and the constant beside it, from values at times
-    `tau` about the middle of their window [s].
+def _window(values: np.ndarray, tau: np.ndarray, omega: float, band: tuple[float, float]) -> tuple[Any, ...]:
+    """Phasor, its standard deviation, frequency within a band, its, decay rate, its, and the constant beside it, from
+    values at times `tau` about the middle of their window [s].
     """
     half, start, first = max(float(tau[-1]), 1e-300), omega, None
     if not np.ptp(values) > 0:  # what has died away below the step of a converter
@@ -175,7 +197,7 @@ def _window(values: np.ndarray, tau: np.ndarray, omega: float) -> tuple[Any, ...
         rate = (found[2] + 1j * found[3]) / (found[0] + 1j * found[1]) / half
         move = float(np.clip(rate.imag, -1.0 / half, 1.0 / half))
         omega += move
-        if abs(omega - start) > STRAYED * start:
+        if abs(omega - start) > STRAYED * start or not band[0] <= omega <= band[1]:
             (columns, found), omega = first, start
             rate = (found[2] + 1j * found[3]) / (found[0] + 1j * found[1]) / half
             break

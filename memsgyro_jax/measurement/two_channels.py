@@ -12,7 +12,7 @@ PARTS = {
 }
 """Last words of a name for the parts of a phasor."""
 _PART_OF = {word: part for part, words in PARTS.items() for word in words} | {
-    **dict.fromkeys(("r", "amp", "ampl", "amplitude", "magnitude", "mag", "abs", "modulus"), "amp"),
+    **dict.fromkeys(("r", "amp", "ampl", "amplitude", "magnitude", "mag", "abs", "modulus", "betrag"), "amp"),
     **dict.fromkeys(("phase", "theta", "phi", "arg", "angle"), "phase"),
 }
 _AXES = {"vx": "x", "vy": "y", "x": "x", "y": "y"}

@@ -207,7 +207,7 @@ class _Pace:
     """How fast dies are computed once the first call, which compiles, has ended; what others are waited for apart."""
 
     def __init__(self) -> None:
-        self._spent, self._began, self._compiled, self._dies = 0.0, 0.0, None, 0
+        self._spent, self._began, self._compiling, self._dies = 0.0, 0.0, 0.0, 0
 
     def start(self) -> None:
         self._began = time.perf_counter()
@@ -216,14 +216,15 @@ class _Pace:
         self._spent += time.perf_counter() - self._began
 
     def count(self, dies: int) -> None:
-        if self._compiled is None:
-            self._compiled = self._spent + time.perf_counter() - self._began
-        else:
+        """So many dies have come; the first of all are not timed."""
+        if self._compiling:
             self._dies += dies
+        else:
+            self._compiling = self._spent + time.perf_counter() - self._began
 
     @property
     def dies_per_second(self) -> float | None:
-        return self._dies / (self._spent - self._compiled) if self._dies else None
+        return self._dies / (self._spent - self._compiling) if self._dies else None
 
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:

@@ -244,7 +244,8 @@ class Memory:
     def unfinished(self) -> Iterator[int | None]:
         """As of a `Store`."""
         yield from self.missing
-        yield None
+        if self.missing:
+            yield None
 
     def write(self, number: int, rows: dict[str, np.ndarray]) -> None:
         """Keep block `number`."""

@@ -104,7 +104,7 @@ def test_a_level_below_zero_is_refused_and_no_unknown_option(memsgyro, tmp_path,
     assert memsgyro("new", "case")[0] == 0
     status, _, said = memsgyro("import", "case/low.csv", "--out", "imported", option, text)
     assert status == 2
-    assert said.startswith(f"Option `{option}` must be a positive number with its unit, like ")
+    assert said.splitlines()[-1].startswith(f"Option `{option}` must be a positive number with its unit, like ")
     assert said.endswith(f'but is "{text}".\n')
 
 

@@ -38,3 +38,11 @@ def test_a_pure_number_has_no_unit(unit, told):
 )
 def test_a_suggestion_is_like_what_is_behind_the_parts_that_agree(name, told):
     assert suggestion(name, ["controller.drive.haste", "observer.length"]) == told
+
+
+@pytest.mark.parametrize("std", [0.0, 1e-320, 0.3, math.inf, math.nan])
+@pytest.mark.parametrize(("value", "said"), [(math.inf, "inf"), (-math.inf, "-inf"), (math.nan, "nan"), (0.0, "0")])
+def test_what_is_no_number_is_said_beside_any_uncertainty(value, std, said):
+    """An infinite quality factor beside its ± ended a diagnosis."""
+    assert beside(value, std) == said
+    assert float(beside(2.5, std)) == 2.5

@@ -90,3 +90,53 @@ def test_the_first_window_is_told_where_a_stiff_spring_lowers_the_frequency_fast
     first = track.where(slice(0, 8))
     np.testing.assert_allclose(first.omega, omega + turn * np.exp(-2.0 * slow * first.time), atol=0.02 * turn)
     np.testing.assert_allclose(first.amplitude, np.exp(-slow * first.time), rtol=0.03)
+
+
+@pytest.mark.parametrize("samples", [4.0, 4.3, 4.7, 5.5])
+def test_the_noise_behind_a_decay_of_few_samples_a_period_is_no_vibration(samples):
+    """In the noise it went on to Nyquist's frequency, where a sine and a cosine are one, and to 2e8 V."""
+    hertz, quality, rate = 11250.0, 1100.0, 11250.0 * samples
+    time = np.arange(int(0.4 * rate)) / rate
+    for seed in range(3):
+        noise = 1e-3 * np.random.default_rng(seed).standard_normal(time.size)
+        volts = 0.25 * np.exp(-np.pi * hertz / quality * time) * np.sin(2 * np.pi * hertz * time) + noise
+        rough = rough_decay(time, volts)
+        assert rough["resonance"][0] == pytest.approx(hertz, rel=1e-4)
+        assert rough["quality_factor"][0] == pytest.approx(quality, rel=0.01)
+        track = tracked(time, volts, (0.0, np.pi * rate))
+        assert track.amplitude.max() < 0.27
+        assert track.seen.turned(0.3) < 1.0
+
+
+@pytest.mark.parametrize("samples", [2.1, 2.5, 3.0])
+def test_a_vibration_near_half_the_sampling_rate_is_told(samples):
+    hertz, quality, rate = 8e3, 1500.0, 8e3 * samples
+    time = np.arange(int(0.4 * rate)) / rate
+    volts = np.exp(-np.pi * hertz / quality * time) * np.sin(2 * np.pi * hertz * time)
+    volts = volts + 1e-3 * np.random.default_rng(2).standard_normal(time.size)
+    rough = rough_decay(time, volts)
+    assert rough["resonance"][0] == pytest.approx(hertz, rel=1e-4)
+    assert rough["quality_factor"][0] == pytest.approx(quality, rel=5e-3)
+
+
+@pytest.mark.parametrize("hum", [0.012, 0.096, 0.85])
+def test_lines_that_stand_in_a_record_are_not_the_vibration_that_dies_out(hum):
+    """They told 1163 Hz, 373 Hz and a quality factor of 1.5e6."""
+    hertz, quality, rate = 1247.83, 620.0, 25e3
+    time = np.arange(40_000) / rate
+    volts = 0.85 * np.exp(-np.pi * hertz / quality * time) * np.sin(2 * np.pi * hertz * time) + 0.03
+    volts = volts + hum * (np.sin(2 * np.pi * 49.98 * time) + 0.3 * np.sin(2 * np.pi * 249.9 * time + 1.0))
+    volts = volts + 1.5e-3 * np.random.default_rng(3).standard_normal(time.size)
+    rough = rough_decay(time, volts)
+    assert rough["resonance"][0] == pytest.approx(hertz, rel=1e-4)
+    assert rough["quality_factor"][0] == pytest.approx(quality, rel=0.01)
+
+
+@pytest.mark.parametrize("quality", [1.5e4, 3e4, 6e4, 1e5, 1e6, np.inf])
+def test_a_vibration_that_hardly_falls_stands_like_a_line_and_is_still_told(quality):
+    time = np.arange(30_000) / 100e3
+    volts = np.exp(-np.pi * 14e3 / quality * time) * np.cos(2 * np.pi * 14e3 * time)
+    volts = volts + 0.02 * np.sin(2 * np.pi * 50.0 * time) + 1e-3 * np.random.default_rng(1).standard_normal(time.size)
+    rough = rough_decay(time, volts)
+    assert rough["resonance"][0] == pytest.approx(14e3, rel=1e-5)
+    assert 1.0 / rough["quality_factor"][0] == pytest.approx(1.0 / quality, rel=0.02, abs=5e-8)

@@ -15,6 +15,7 @@ def import_command(
     drive: Words = (),
     axis: Words = (),
     reference: str = "",
+    sample_rate: str = "",
     bias: Words = (),
     temperature: Words = (),
     every: int | None = None,
@@ -38,6 +39,7 @@ def import_command(
         axis: which axis was driven, x or y, where two channels were read and neither a column F_x, F_y nor the name of
             file or folder (drive_x) says it; one for all files or one for each, "-" for one that says it.
         reference: frequency of a lock-in that recorded over time, or operating points, like "32.768 kHz".
+        sample_rate: of waveforms without a column of time where the file does not tell it, like "50 kHz".
         bias: voltage of the electrodes where no column has it, like "20 V"; one for all files or one for each, "-" for
             a file of which nothing is said.
         temperature: like "25 degC", as the bias.
@@ -52,23 +54,27 @@ def import_command(
     from memsgyro_jax.measurement.import_case import import_case
 
     from .options import require_writable
+    from .progress import told
 
     require_writable(json)
     # Without what kept a dash from an option.
     levels, maps, tuned = [level.strip() for level in drive], [one.strip() for one in map_], reference.strip()
     held = {"bias": [one.strip() for one in bias], "temperature": [one.strip() for one in temperature]}
-    result = import_case(
-        files,
-        out,
-        columns=maps,
-        drive=levels,
-        axis=[one.strip() for one in axis],
-        reference=tuned,
-        **held,
-        every=every,
-        rms=rms,
-        overwrite=overwrite,
-    )
+    with told() as tell:
+        tell(f"reading {len(files)} file{'s' * (len(files) > 1)}, and what device their records show")
+        result = import_case(
+            files,
+            out,
+            columns=maps,
+            drive=levels,
+            axis=[one.strip() for one in axis],
+            reference=tuned,
+            sample_rate=sample_rate.strip(),
+            **held,
+            every=every,
+            rms=rms,
+            overwrite=overwrite,
+        )
     print(result)
     if not result.warning:
         print(f"Next: `memsgyro check {out}`, then `memsgyro diagnose {out}`.")

@@ -1,12 +1,13 @@
 """Free decay: a vibration that dies out, whatever made it; how it began is solved for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 import jax.numpy as jnp
 import numpy as np
 from pydantic import Field, StrictBool
+from scipy.signal import hilbert
 
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
@@ -14,17 +15,19 @@ from memsgyro_jax.base.table import Table
 from ..clock import check_period, usual_period
 from ..columns import phasor_columns
 from ..declared import Declared, si
+from ..modes_apart import modes_apart
 from ..noise import freedom_over_time, noise_beside_tone
 from ..section import ExperimentSection, Frequency, Seconds
 from ..tracking import Track, tracked
 from .base import CartesianNoise, Readings, RealNoise, surroundings
 from .checks import check_sampling
-from .clocked import CONDITIONS, WaveformRecord, surroundings_told
+from .clocked import CONDITIONS, REACH, WaveformRecord, surroundings_told
 from .converter_steps import lost_in_steps
 from .decay_pieces import FreeDecay
 from .deviation import Deviation, Series, in_phase, segments
 from .missing_force import TimeForce
 from .sheet import Sheet
+from .unknown_start import put_back
 
 
 NEARBY = 1.2  # of the frequency that a channel shows most: as high vibrates what shows less in it
@@ -128,16 +131,32 @@ class FreeDecayRecord(WaveformRecord):
     def piece_rows(self, declared: Declared) -> int:
         """Rows of a piece: so few that the frequency, where it changes with the amplitude or in time, turns the
         vibration little within one; at most half of the record. Longer pieces tell more, as each loses its start.
+
+        Of two channels both vibrations may show in each, and turn it though neither frequency changes: what turns
+        less counts, the channels or the vibrations.
         """
         cycle, half = 2 * np.pi / declared.resonances[0] / self.period, self.rows // 2
         least, reference = max(ROWS, int(np.ceil(CYCLES * cycle))), self.reference_frequency or 0.0
-        tracks = [self.track(declared, channel).seen for channel in range(declared.channels)]
+        channels = [self.track(declared, channel).seen for channel in range(declared.channels)]
+        ways = [channels, *([self._modes(declared)] if len(channels) > 1 and not self.uneven else [])]
         pieces = 1  # of the half: whole numbers of them leave no row over
         while half // pieces > least and (
-            max(track.turned(half // pieces * self.period, reference) for track in tracks) > TURN
+            min(max(track.turned(half // pieces * self.period, reference) for track in tracks) for tracks in ways)
+            > TURN
         ):
             pieces += 1 + pieces // 4
         return max(1, min(half, max(least, half // pieces)))
+
+    def _modes(self, declared: Declared) -> list[Track]:
+        """The vibrations of two channels, each by itself, where they are seen."""
+        asked = ("modes", declared.resonances)
+        if asked not in self._tracks:
+            reference, louder = self.reference_frequency or 0.0, max(self.free_modes(declared))[1]
+            rows = max(1, int(CYCLES * 2 * np.pi / louder / self.period))
+            apart = modes_apart(self.time, self.signals, louder - reference, rows)
+            band = REACH[0] * declared.resonances[0], REACH[1] * declared.resonances[1]
+            self._tracks[asked] = [tracked(self.time, mode, band, reference=reference).seen for mode in apart.T]
+        return self._tracks[asked]
 
     def _whole(self, rows: int) -> np.ndarray:
         """Numbers of the rows that whole pieces of `rows` hold, none of which reaches over a long gap."""
@@ -243,7 +262,19 @@ class FreeDecayRecord(WaveformRecord):
             levels.append(noise_beside_tone(self.time, signal[:, None], omega))
         return float(np.median(levels)), freedom_over_time(self.signals[:, channels])
 
+    def _with_starts(self, deviation: Deviation) -> Deviation:
+        """As far from the model as readings are whose starts were known."""
+        white, predicted = deviation.white.copy(), np.nan_to_num(deviation.predicted)
+        if self.reference_frequency is None:
+            predicted = hilbert(predicted - np.asarray(deviation.model.offset), axis=0)
+        waves = np.where(np.isfinite(white).all(axis=-1), predicted / self.noise_of_rows, 0.0)
+        for readings in deviation.readings:
+            pieces = readings.row.reshape(len(readings.experiment.start), -1)
+            white[pieces] = put_back(white[pieces], waves[pieces])
+        return replace(deviation, white=white)
+
     def series(self, deviation: Deviation) -> Series:
+        deviation = self._with_starts(deviation)
         if self.reference_frequency is None:
             return super().series(deviation)
         turned = in_phase(deviation.white, deviation.predicted)

@@ -18,8 +18,9 @@ from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
 from memsgyro_jax.effects.base import LockInEffect, SweepEffect
 
+from ..bent_transient import Bent
 from ..first_order import Contribution, Inquiry, Periods
-from ..lock_in import RowsBefore, before_lock_in, through_lock_in
+from ..lock_in import BentCourse, RowsBefore, before_lock_in, bent_course, lock_in_rows, through_lock_in
 from ..model import Model
 from ..steady import (
     FINENESS,
@@ -114,6 +115,34 @@ class HarmonicSweep(Experiment):
         if self.every is not None and self.place is not None and _remembers(bench):
             whole = dataclasses.replace(self.every, fineness=self.fineness)
             return jax.tree.map(lambda part: part[self.place], whole._predicted(bench, None))
+        settled, states = self._settled(bench, added)
+        seen = through_lock_in(
+            bench, settled, self.frequency, self.force, self._before, self.surroundings, self.dwell, self.unsettled,
+            self.rows_before, self._bent(bench, states),
+        )  # fmt: skip
+        return seen, states
+
+    def course(self, bench: Model, parts: int) -> BentCourse | None:
+        """How a device that is not linear went from row to row, in so many parts of each, where some had not settled;
+        else `None`.
+        """
+        settled, states = self._settled(bench, None)
+        if self.unsettled is None or (bent := self._bent(bench, states)) is None:
+            return None
+        rows = lock_in_rows(self.frequency, self.force, self._before, self.surroundings, self.dwell)
+        return bent_course(bench, settled, rows, self.surroundings, self.unsettled, bent, parts)[2]
+
+    def _bent(self, bench: Model, states: Array) -> Bent | None:
+        """What a row leaves to the next asks of a device that is not linear."""
+        return None if self.unsettled is None or bench.is_linear else Bent(states, self.fineness)
+
+    @property
+    def _before(self) -> Complex[Array, "n axes"]:
+        """What was read in the row before each."""
+        return self.measured if self.before is None else self.before
+
+    def _settled(self, bench: Model, added: Contribution | None) -> tuple[Complex[Array, "n axes"], Array]:
+        """Phasors of all channels before what a lock-in makes of them, and states, to which rows settle."""
         speeds = [effect.speed() for effect in bench.effects if isinstance(effect, SweepEffect)]
         speeds += [] if added is None else [added.speed]
 
@@ -128,13 +157,7 @@ class HarmonicSweep(Experiment):
 
         rows = self.frequency, self.force, self.surroundings, self._shown(bench), self.direction
         settled, states = over_rows(row, *rows, None if added is None else added.forced[0])
-        settled = settled if added is None else settled + added.seen
-        before = self.measured if self.before is None else self.before
-        seen = through_lock_in(
-            bench, settled, self.frequency, self.force, before, self.surroundings, self.dwell, self.unsettled,
-            self.rows_before,
-        )  # fmt: skip
-        return seen, states
+        return settled if added is None else settled + added.seen, states
 
     def _shown(self, bench: Model) -> Complex[Array, "n axes"]:
         """`near` as the mass moves: before what a lock-in does, as amplitudes were never turned by one, and what

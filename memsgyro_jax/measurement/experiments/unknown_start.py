@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from memsgyro_jax.base.linalg import inverse
@@ -55,3 +56,24 @@ def _solved(slope: Float[Array, "s r"], left: Float[Array, " r"]) -> Float[Array
     size = jnp.sqrt(jnp.where(square > 0, square, 1.0))
     slope = slope / size[:, None]
     return inverse(slope @ slope.T + UNSEEN * jnp.eye(len(slope))) @ (slope @ left) / size
+
+
+def put_back(white: np.ndarray, waves: np.ndarray) -> np.ndarray:
+    """Whitened residuals (pieces, m, channels, parts) with noise in place of what the start of each piece took of them.
+
+    A start takes two numbers of every channel, its part in phase with the vibration and that in quadrature. What is
+    left is therefore no white noise near the resonance, though all that was read had nothing else beside the model;
+    with new noise there, always the same, it is again.
+
+    Args:
+        white: real, of waveforms or of both parts of phasors.
+        waves: (pieces, m, channels) what was predicted over its noise, as phasors; zero where rows are not compared.
+    """
+    one = white.shape[-1] == 1
+    turned = np.stack([waves, 1j * waves], axis=-1)  # (pieces, m, channels, 2)
+    columns = turned.real[..., None, :] if one else np.stack([turned.real, turned.imag], axis=-2)
+    basis, size = np.linalg.qr(np.moveaxis(columns, 2, 1).reshape(*waves.shape[::2], -1, 2))
+    drawn = np.random.default_rng(0).standard_normal((*waves.shape[::2], 2))
+    drawn = np.where(np.abs(np.diagonal(size, axis1=-2, axis2=-1)) > 0.0, drawn, 0.0)
+    more = (basis @ drawn[..., None]).reshape(*waves.shape[::2], waves.shape[1], -1)
+    return white + np.moveaxis(more, 1, 2)

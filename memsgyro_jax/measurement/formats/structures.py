@@ -15,10 +15,12 @@ _CHANNEL = re.compile(r"\d+|(?<![a-z])v?[xy](?![a-z])")
 
 
 class Leaf:
-    """Numbers of a tree, their unit, and attributes."""
+    """Numbers of a tree and their unit; of a matrix, where that is told, names and units of its columns."""
 
-    def __init__(self, values: np.ndarray, unit: str = "") -> None:
-        self.values, self.unit = values, unit
+    def __init__(
+        self, values: np.ndarray, unit: str = "", names: tuple[str, ...] = (), units: tuple[str, ...] = ()
+    ) -> None:
+        self.values, self.unit, self.names, self.units = values, unit, names, units
 
 
 Placed = list[tuple[str, Mapping[str, Leaf]]]  # columns by name, with the place that stands before their names

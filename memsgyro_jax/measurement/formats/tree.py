@@ -11,10 +11,12 @@ from memsgyro_jax.base.errors import InputError
 from .base import Format, SourceTable, complex_columns, library
 from .header import split_header, tidy_unit
 from .labone import demodulated
+from .steady_step import step_of_samples
 from .structures import Leaf, shared_tables
 
 
 _DEMODULATOR = {"x", "y"}
+_NAME_KEYS = ("names", "columns", "channels", "channel_names", "labels", "column_names")
 _UNIT_KEYS = ("units", "unit", "Unit", "Units", "unit_string")
 
 
@@ -76,8 +78,8 @@ def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
         if isinstance(item, h5py.Group):
             tree[key] = _of_group(item, h5py)
             continue
-        for name, value in item.attrs.items():  # of a column about the whole: what frequency a lock-in used
-            if np.size(value) == 1 and "freq" in name.lower():
+        for name, value in item.attrs.items():  # of a column about the whole: what a lock-in used, steps of its rows
+            if np.size(value) == 1 and ("freq" in name.lower() or step_of_samples({name: _word(value)})[0]):
                 tree.setdefault(f"@{name}", _word(value))
         unit = next((_word(item.attrs[k]) for k in _UNIT_KEYS if k in item.attrs), "")
         if item.dtype.names and {"real", "imag"} <= {*item.dtype.names}:  # a complex number of MATLAB
@@ -86,8 +88,15 @@ def _of_group(group: Any, h5py: Any) -> dict[str, Any]:
             rows = item[()]
             tree[key] = {name: Leaf(np.asarray(rows[name])) for name in item.dtype.names}
         elif item.dtype.kind in "iufc":
-            tree[key] = Leaf(np.asarray(item[()]), unit)
+            tree[key] = Leaf(np.asarray(item[()]), unit, _words_of(item, _NAME_KEYS), _words_of(item, _UNIT_KEYS))
     return tree
+
+
+def _words_of(item: Any, keys: tuple[str, ...]) -> tuple[str, ...]:
+    """What an attribute says of each column of a matrix; empty where none does."""
+    columns = item.shape[1] if len(item.shape) == 2 else 0
+    found = (np.ravel(item.attrs[key]) for key in keys if key in item.attrs)
+    return next((tuple(map(_word, words)) for words in found if columns == len(words)), ())
 
 
 def _of_mat(value: Any) -> Any:
@@ -129,20 +138,25 @@ def _walk(path: Path, place: str, tree: Mapping[str, Any], above: Mapping[str, s
     for name, placed in shared.items():
         joined = tuple(column for before, some in placed for column in _columns(some, before))
         yield SourceTable(path, f"{place}/{name}".strip("/"), joined, attributes)
-    if not taken and (len(kept) > 1 or any(leaf.values.dtype.kind == "c" for leaf in kept.values())):
+    lone = any(leaf.values.dtype.kind == "c" for leaf in kept.values()) or bool(kept and step_of_samples(attributes)[0])
+    if not taken and (len(kept) > 1 or lone):
         if {*kept} > _DEMODULATOR and {*kept} & {"frequency", "grid", "timestamp"}:
             yield from demodulated(path, place, {k: leaf.values.ravel() for k, leaf in kept.items()}, attributes)
         else:
             yield SourceTable(path, place, tuple(_columns(kept)), attributes)
     for key, leaf in leaves.items():  # a plain matrix is a table without a header
         if not kept and leaf.values.ndim == 2 and 1 < leaf.values.shape[1] <= 64 < leaf.values.size:
-            parts = (
-                c for n in range(leaf.values.shape[1]) for c in complex_columns(f"{key} {n + 1}", "", leaf.values[:, n])
-            )
-            yield SourceTable(path, place, tuple(parts), attributes)
+            yield SourceTable(path, place, tuple(_of_matrix(key, leaf)), attributes)
     for key, entry in tree.items():
         if isinstance(entry, dict) and key not in ("chunkheader", "header", *taken):
             yield from _walk(path, f"{place}/{key}".strip("/"), entry, attributes)
+
+
+def _of_matrix(key: str, leaf: Leaf):
+    for n in range(leaf.values.shape[1]):
+        name, unit = split_header(leaf.names[n]) if leaf.names else (f"{key} {n + 1}", "")
+        unit = (tidy_unit(leaf.units[n]) if leaf.units else "") or tidy_unit(leaf.unit) or unit
+        yield from complex_columns(name, unit, leaf.values[:, n])
 
 
 def _columns(leaves: Mapping[str, Leaf], before: str = ""):
