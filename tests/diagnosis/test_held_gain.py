@@ -1,14 +1,19 @@
 """A device of one axis that nothing drives: its strengths are those of one resonator, whatever the design guessed."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.diagnosis.estimates import whose_forces
 from memsgyro_jax.diagnosis.fit import fit_case
 from memsgyro_jax.diagnosis.law import draw_law
-from memsgyro_jax.effects import QuadraticDamping
+from memsgyro_jax.effects import CubicStiffness, QuadraticDamping
 from memsgyro_jax.measurement.case import load_case, write_case
+from memsgyro_jax.measurement.declared import DesignValue, Readout
+from memsgyro_jax.measurement.model import Model
 
 
 HERTZ, QUALITY, DRAG = 40.0, 120.0, 6e-3  # x'' + ω/Q·x' + DRAG·|x'|·x' + ω²·x = 0, x in volts
@@ -89,6 +94,18 @@ def test_a_mass_that_is_declared_stays(decay, tmp_path):
         (found,) = [e for e in fit.estimates if e.name == "quadratic_damping x"]
         assert found.value == pytest.approx(2e-6 * DRAG * 1e6, rel=0.02)  # 1 V is a micrometre
         assert whose_forces(fit) == ""
+
+
+def test_of_two_axes_it_is_the_mass_that_is_said():
+    device = NormalisedDevice([4e8, 5e8, 0.0], [20.0, 30.0, 0.0], 1.0)
+    words = SimpleNamespace(displacement="V", force="V")
+    case = SimpleNamespace(words=words, readout=Readout(1.0), design={"mass": DesignValue.found(1.0)})
+    fit = SimpleNamespace(case=case, joint=SimpleNamespace(undriven=True), model=Model(device))
+    assert whose_forces(fit) == ""
+    fit.model = fit.model.with_effect(CubicStiffness("x", 1e3))
+    assert whose_forces(fit).endswith("strengths are those of a mass of 1 (V·s²/V)")
+    case.design["mass"] = DesignValue(2e-9, 1e-9, 3e-9)
+    assert whose_forces(fit) == ""
 
 
 def test_a_law_that_is_drawn_is_that_of_the_same_device(decay):
