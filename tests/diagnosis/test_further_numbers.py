@@ -1,5 +1,7 @@
 """Effects with several numbers, and with a sign that physics gives them."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -97,7 +99,7 @@ def test_a_number_may_be_fixed():
 def test_all_numbers_are_in_the_model_file(powered, tmp_path):
     assert "exponent = " in model_text(powered.model)
     again = read_model(write_model(powered.model, tmp_path / "model.toml"), (PowerSpring("x"),))
-    assert bool(eqx.tree_equal(again, powered.model))
+    assert bool(eqx.tree_equal(again, replace(powered.model, holds_gain=False))), "a model of a file has its own mass"
 
 
 def test_a_fit_hands_on_its_device_and_its_joint_uncertainty(powered):
