@@ -121,12 +121,13 @@ def reference_of(
         assumed.append(f"the reference is {level[0]:.10g} {level[1]}, as the file's attribute `{name}` says")
         return level
     bare = next((name for name, level in told.items() if not level[1]), "") if not clear else ""
-    pair = [rows[role].header for role in ("I", "Q") if role in rows]
-    waves = f', or as in --map "t={rows["t"].header},x={pair[0]},y={pair[1]}" if these are waveforms of two axes'
+    named = {role: rows[role].header for role in ("t", "I", "Q") if role in rows}
     beside = f" (its attribute `{bare}` says {table.attributes[bare]} without a unit)" if bare else ""
+    waves = ', or as in --map "t={t},x={I},y={Q}" if these are waveforms of two axes'
+    waves = waves.format(**named) if len(named) == 3 else ""
     raise InputError(
         f"{table.path}: the reference frequency of the lock-in must be known, but no column has it{beside}; give it as "
-        f'in --reference "32.768 kHz"{waves if len(pair) == 2 and "t" in rows else ""}.'
+        f'in --reference "32.768 kHz"{waves}.'
     )
 
 
