@@ -192,7 +192,7 @@ class _Sought(NamedTuple):
         what is free, as it depends on its time constant and poles.
         """
         model = joint.at(vector).present
-        if self.sweep.unsettled is None or model.is_linear:
+        if not self.sweep.bends(model):
             moved = jax.tree.map(lambda leaf: leaf[self.fits], _moved(model, jnp.asarray(columns), self.sweep))
             return lambda tau, poles: _read(tau, poles, moved)
         acting = tuple(i for i, e in enumerate(joint.at(vector).effects) if np.any(np.asarray(e.strength) != 0))

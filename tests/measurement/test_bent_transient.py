@@ -125,6 +125,19 @@ def test_a_spring_of_no_strength_leaves_the_ring_down_of_the_linear_device():
     np.testing.assert_allclose(absent, plain, atol=1e-9 * np.max(np.abs(plain)))
 
 
+class OwnSpring(CubicStiffness):
+    """Of a user."""
+
+
+def test_beside_an_own_law_rows_ring_down_as_the_linear_device():
+    """A law drawn of a measured wire, with powers of 0.36 and 1.4, had not been fitted in 600 s in place of 40."""
+    sweep = swept(1, cubic=CUBIC)
+    own, known = device(OwnSpring("x", CUBIC)), device(CubicStiffness("x", CUBIC))
+    assert (sweep.bends(own), sweep.bends(known), sweep.bends(device())) == (False, True, False)
+    assert misfit(sweep, known) < 6e-3
+    assert misfit(sweep, own) > 0.25
+
+
 def test_what_is_read_of_the_motion_does_not_matter():
     """A velocity, by a lock-in whose reference is turned: motion and readings are told apart."""
     sweep, term = swept(-1, cubic=CUBIC), ReferencePhase([0.9], np.ones((1, 1, 1)))

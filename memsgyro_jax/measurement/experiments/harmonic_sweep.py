@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from memsgyro_jax.base.few_at_a_time import over_rows
 from memsgyro_jax.base.kept import kept
 from memsgyro_jax.base.linalg import inverse
+from memsgyro_jax.base.own_code import is_outside
 from memsgyro_jax.base.plainly import PLAINLY
 from memsgyro_jax.base.text import spoken
 from memsgyro_jax.device.conditions import Conditions
@@ -118,23 +119,23 @@ class HarmonicSweep(Experiment):
         settled, states = self._settled(bench, added)
         seen = through_lock_in(
             bench, settled, self.frequency, self.force, self._before, self.surroundings, self.dwell, self.unsettled,
-            self.rows_before, self._bent(bench, states),
+            self.rows_before, Bent(states, self.fineness) if self.bends(bench) else None,
         )  # fmt: skip
         return seen, states
 
-    def course(self, bench: Model, parts: int) -> BentCourse | None:
-        """How a device that is not linear went from row to row, in so many parts of each, where some had not settled;
-        else `None`.
-        """
+    def course(self, bench: Model, parts: int) -> BentCourse:
+        """How a device went from row to row of a sweep that `bends`, in so many parts of each."""
         settled, states = self._settled(bench, None)
-        if self.unsettled is None or (bent := self._bent(bench, states)) is None:
-            return None
         rows = lock_in_rows(self.frequency, self.force, self._before, self.surroundings, self.dwell)
+        bent = Bent(states, self.fineness)
         return bent_course(bench, settled, rows, self.surroundings, self.unsettled, bent, parts)[2]
 
-    def _bent(self, bench: Model, states: Array) -> Bent | None:
-        """What a row leaves to the next asks of a device that is not linear."""
-        return None if self.unsettled is None or bench.is_linear else Bent(states, self.fineness)
+    def bends(self, bench: Model) -> bool:
+        """Whether rows that had not settled go on as a device that is not linear does. Beside a user's own law, which
+        may be so sharp that it asks 512 samples of a period, they ring down as the linear device.
+        """
+        linear = bench.is_linear or any(is_outside(type(effect)) for effect in bench.effects)
+        return self.unsettled is not None and not linear
 
     @property
     def _before(self) -> Complex[Array, "n axes"]:
