@@ -10,9 +10,7 @@ from memsgyro_jax.base.units import to_si
 from .column_meaning import role_of
 from .formats import SourceColumn, SourceTable
 from .formats.steady_step import step_of_samples
-
-
-Level = tuple[float, str]  # with its unit
+from .told_beside import Level
 
 
 def with_clock(table: SourceTable, given: Level | None) -> SourceTable:

@@ -9,7 +9,7 @@ import numpy as np
 from memsgyro_jax.base.quantity import number_and_unit
 from memsgyro_jax.base.units import to_si
 
-from .header import is_unit, split_header, tidy_unit
+from .header import split_header, tidy_unit
 
 
 _RATES = {
@@ -34,16 +34,16 @@ def step_of_samples(attributes: Mapping[str, str]) -> tuple[float, str]:
         with contextlib.suppress(ValueError):
             value, own = number_and_unit(re.sub(r"(?<=\d),(?=\d)", ".", text))
             beside = next((attributes[key] for like in _UNIT_OF if (key := like.format(name)) in attributes), "")
-            step = _seconds(value, tidy_unit(own) or unit or beside or usual, usual)
+            step = _seconds(value, tidy_unit(own) or unit or beside or usual)
             if 0.0 < step < np.inf:
                 return step, name
     return 0.0, ""
 
 
-def _seconds(value: float, unit: str, usual: str) -> float:
+def _seconds(value: float, unit: str) -> float:
     """Of a rate or a step; zero where its unit is that of neither."""
-    for kind in (usual, "Hz", "s"):
+    for kind in ("Hz", "s"):
         with contextlib.suppress(ValueError, ZeroDivisionError):
-            number = to_si(value, unit, kind, "the step") if is_unit(unit) else 0.0
+            number = to_si(value, unit, kind, "the step")
             return 1.0 / number if kind == "Hz" else number
     return 0.0
