@@ -1,5 +1,6 @@
 """How the motion of a nonlinear device goes on from row to row of a sweep that is read before it has settled."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,8 +16,8 @@ from .model import Conditions, Model
 from .steady import Fineness, linear_response, nonlinear_spectrum
 
 
-_TURN = 0.4  # rad by which what is nonlinear may turn a motion within a step: a ten thousandth of it is then off
-_DECAY = 1.5  # decay times of a step at most
+_TURN = 0.3  # rad by which what is nonlinear may turn a motion within a step: 5e-5 of it is then off at most
+_DECAY = 1.0  # decay times of a step at most
 _OVER = 16.0  # decay times after which a row has settled: a ten millionth is left
 _MOST = 128  # steps of a row
 
@@ -75,50 +76,74 @@ class SlowMotion(eqx.Module):
         others = product(self.push, left(self.settled.at[1].set(first)))
         return first, left(others.at[1].set(first))[1, :axes]
 
-    def speed(self, motion: Complex[Array, " axes"]) -> Complex[Array, " axes"]:
-        """q' [m/s] of a motion q [m]."""
+    @property
+    def generator(self) -> Complex[Array, "axes axes"]:
+        """G of q' = G·q + p(q): how the device moves on by itself where it is linear [1/s]."""
+        (matrix, _), axes = self.linear, self.model.axes
+        rows = matrix[axes : 2 * axes]
+        by_motion = rows[:, :axes] + 1j * self.omega * rows[:, axes : 2 * axes] + self.omega**2 * jnp.eye(axes)
+        return self.mobile @ by_motion
+
+    def pushed(self, motion: Complex[Array, " axes"]) -> Complex[Array, " axes"]:
+        """p(q) [m/s]: what the drive, states of effects and what is nonlinear make of a motion q [m]."""
         (matrix, gain), axes = self.linear, self.model.axes
         first, left = self.left_out(motion)
-        pushed = product(matrix[axes : 2 * axes], first) + product(gain[axes : 2 * axes], self.force) + left
-        return product(self.mobile, pushed + self.omega**2 * motion)
+        own = product(matrix[axes : 2 * axes, 2 * axes :], first[2 * axes :])
+        return product(self.mobile, product(gain[axes : 2 * axes], self.force) + own + left)
 
-    def steps(self, motions: Complex[Array, "m axes"], dwell: Array) -> Int[Array, ""]:
-        """How many a dwell takes [s], of what is nonlinear at some motions."""
+    def steps(self, motions: Complex[Array, "m axes"], dwell: Array, most: int) -> Int[Array, ""]:
+        """How many a dwell takes [s], of what is nonlinear at some motions, and at most."""
         bend = jnp.linalg.norm(jax.vmap(lambda q: product(self.mobile, self.left_out(q)[1]))(motions), axis=1)
         size = jnp.linalg.norm(motions, axis=1)
         turning = jnp.max(bend / jnp.where(size > 0, size, 1.0))
         many = dwell * (turning / _TURN + self.decay / _DECAY)
-        return jnp.where(jnp.isfinite(many), jnp.clip(jnp.ceil(many), 1, _MOST), 1).astype(int)
+        return jnp.where(jnp.isfinite(many), jnp.clip(jnp.ceil(many), 1, most), 1).astype(int)
 
     @property
     def decay(self) -> Array:
         """The slowest rate of decay of the device as it is where it is linear [1/s]."""
         return jnp.min(jnp.abs(jnp.diag(self.model.device.damping_matrix))) / 2.0
 
-    def after(self, start: Complex[Array, " axes"], dwell: Float[Array, ""]) -> Complex[Array, " axes"]:
-        """Where a motion has come after a dwell [s]: by the exponential Rosenbrock method of third order, exprb32, of
-        Hochbruck and Ostermann, "Exponential integrators", Acta Numerica 19 (2010), section 2.4. Each step follows the
-        device as it is linear about where it is, where an amplitude dies away otherwise than a phase.
-        """
-        axes = self.model.axes
+    def after(
+        self, start: Complex[Array, " axes"], dwell: Float[Array, ""], most: int = _MOST
+    ) -> Complex[Array, " axes"]:
+        """Where a motion has come after a dwell [s]: exact where the device is linear, and where it has settled."""
+        count = self.steps(jnp.stack([start, self.settled[1, : self.model.axes]]), dwell, most)
+        count = jax.lax.stop_gradient(count)
+        stages = Stages.of(self.generator, dwell / count)
+        return jax.lax.fori_loop(0, count, lambda _, at: stages.step(at, self.pushed), start)
 
-        def speed(parts: Array) -> tuple[Array, Array]:
-            value = self.speed(parts[:axes] + 1j * parts[axes:])
-            both = jnp.concatenate([value.real, value.imag])
-            return both, both
 
-        count = jax.lax.stop_gradient(self.steps(jnp.stack([start, self.settled[1, :axes]]), dwell))
-        step = dwell / count
+class Stages(NamedTuple):
+    """Exponential integration of q' = G·q + p(q) by ETDRK4 of Cox and Matthews, "Exponential time differencing for
+    stiff systems", Journal of Computational Physics 176 (2002): to places one after the other, of which the last is
+    the end of a step, from its start (4, axes, axes) and by p at those before [s] (4, 4, axes, axes).
+    """
 
-        def advance(_: int, at: Array) -> Array:
-            slope, here = jax.jacfwd(speed, has_aux=True)(at)
-            _, first, _, third = exponential_and_means(slope * step, 3)
-            gone = step * product(first, here)
-            bent = speed(at + gone)[0] - here - product(slope, gone)
-            return at + gone + 2.0 * step * product(third, bent)
+    free: Complex[Array, "4 axes axes"]
+    gained: Complex[Array, "4 4 axes axes"]
 
-        end = jax.lax.fori_loop(0, count, advance, jnp.concatenate([start.real, start.imag]))
-        return end[:axes] + 1j * end[axes:]
+    @classmethod
+    def of(cls, generator: Complex[Array, "axes axes"], step: Float[Array, ""]) -> "Stages":
+        """Of a step [s]."""
+        whole, first, second, third = exponential_and_means(generator * step, 3)
+        half, begun, *_ = exponential_and_means(0.5 * generator * step, 1)
+        begun, none = 0.5 * begun, jnp.zeros_like(begun)
+        end = [first - 3 * second + 4 * third, *[2 * second - 4 * third] * 2, 4 * third - second]
+        gained = [[begun, *[none] * 3], [none, begun, none, none], [half @ begun - begun, none, 2 * begun, none], end]
+        return cls(jnp.stack([half, half, whole, whole]), step * jnp.stack([jnp.stack(row) for row in gained]))
+
+    def step(self, start: Array, pushed: Callable[[Array], Array]) -> Complex[Array, " axes"]:
+        """Where a motion is a step later. A loop over the places: `pushed` is compiled once."""
+
+        def stage(carry: tuple[Array, Array], given: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], None]:
+            (at, told), (number, free, gained) = carry, given
+            told = told.at[number].set(pushed(at))
+            return (product(free, start) + jnp.sum(product(gained, told), axis=0), told), None
+
+        begin = start, jnp.zeros((len(self.free), *start.shape), start.dtype)
+        (end, _), _ = jax.lax.scan(stage, begin, (jnp.arange(len(self.free)), *self))
+        return end
 
 
 class Bent(NamedTuple):
@@ -161,7 +186,7 @@ class BentRow(eqx.Module):
         step = jnp.where(lasting, dwell, 0.0) / parts
 
         def part(at: Array, _: None) -> tuple[Array, Array]:
-            end = motion.after(at, step)
+            end = motion.after(at, step, -(-_MOST // parts))
             return end, end
 
         _, ends = jax.lax.scan(part, start, None, length=parts)

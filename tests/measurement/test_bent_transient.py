@@ -16,6 +16,7 @@ from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.effects import CubicStiffness, QuadraticStiffness
 from memsgyro_jax.effects.lock_in_poles import LockInFilter
 from memsgyro_jax.effects.lock_in_terms import ReferencePhase
+from memsgyro_jax.measurement.bent_transient import Stages
 from memsgyro_jax.measurement.envelope import Driven
 from memsgyro_jax.measurement.experiments import CartesianNoise, HarmonicSweep
 from memsgyro_jax.measurement.lock_in import RowsBefore
@@ -230,6 +231,28 @@ def test_a_filter_sees_the_bent_resonance_ring(way):
     term = LockInFilter([TAU], np.ones((1, 1, 1)), 2.0)
     assert misfit(sweep, device(spring)) > 0.08
     assert misfit(sweep, device(spring, term)) < 5e-3
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_steps_are_of_fourth_order_and_exact_where_nothing_is_bent(size):
+    """Of an amplitude that turns its own phase, two of which pull at each other, far off their resonance."""
+    generator = jnp.array([[-1.0 + 2j, 0.3j], [0.2j, -0.5 + 40j]])[:size, :size]
+    start, whole = jnp.array([1.0 + 0.2j, 0.6j])[:size], 2.0
+
+    @jax.jit
+    def end(bent, count):
+        pushed = lambda q: jnp.array([0.7, 0.1j])[:size] + 1j * bent * jnp.sum(jnp.abs(q) ** 2) * q  # noqa: E731
+        stages = Stages.of(generator, whole / count)
+        return jax.lax.fori_loop(0, count, lambda _, at: stages.step(at, pushed), start)
+
+    exact = end(3.0, 4000)
+    errors = [float(jnp.linalg.norm(end(3.0, count) - exact)) for count in (100, 200, 400)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert errors[0] < 1e-3
+    np.testing.assert_allclose(orders, 4.0, atol=0.5)
+    settled = -np.linalg.solve(generator, np.array([0.7, 0.1j])[:size])
+    linear = settled + expm(whole * np.asarray(generator)) @ (np.asarray(start) - settled)
+    np.testing.assert_allclose(end(0.0, 1), linear, rtol=1e-11)
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])
