@@ -22,11 +22,12 @@ from .imported_columns import (
     cut_column,
     from_effective,
     headed,
+    in_decibels,
     reading_column,
     time_column,
 )
 from .imported_conditions import CONDITIONS, beside_conditions, columns_of_points, columns_of_rate_table, stamps
-from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
+from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as, running
 from .thinning import thinned
 from .told_beside import driven_axis, reference_of
 from .tracking import rough_decay
@@ -158,6 +159,7 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
 
 
 def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
+    rows = in_decibels(running(rows, assumed), assumed)
     axis = driven_axis(table, rows, given.axis, meaning, assumed)
     columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
