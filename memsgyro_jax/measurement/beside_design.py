@@ -120,6 +120,7 @@ def _phases(rows: list[Phasors], read: str, omega: float, width: float) -> list[
     if turned == 0 or min(abs(angle), 180.0 - abs(angle)) < _OFF:
         return []
     angle -= 180.0 * np.sign(angle) * (abs(angle) > 90.0)
-    turn = f"turned by about {angle:+.2g}° against a {read}"
+    article = "an" if read.startswith("a") else "a"
+    turn = f"turned by about {angle:+.2g}° against {article} {read}"
     cause = "the reference, a delay, or what couples into the read-out; `memsgyro diagnose` tells which"
     return [f"phase: aside of the resonance the weakest sweeps are {turn}: by {cause}."]
