@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import memsgyro_jax as mg
+from memsgyro_jax.measurement.beside_design import beside_design
 from memsgyro_jax.measurement.case import assess
 from memsgyro_jax.measurement.narrow_peak import is_narrow_peak
 from memsgyro_jax.measurement.outliers import lone_rows
@@ -46,3 +47,20 @@ def test_check_names_no_line_of_a_beam(tmp_path):
     np.savetxt(tmp_path / "hit_1N.csv", rows, delimiter=",", header="f [Hz],X [m/s^2],Y [m/s^2]", comments="")
     case = mg.import_case([tmp_path / "hit_1N.csv"], tmp_path / "case").case
     assert not [warning for warning in assess(case).warnings if "digit" in warning]
+
+
+def test_rows_far_narrower_than_a_resonance_show_none(tmp_path):
+    """A crystal's shunt alone, 1 kHz at 3.3 MHz, was "resonance: the records show 3.103 MHz" with a quality factor of
+    half.
+    """
+    hertz = 3.288594e6 + 31.25 * np.arange(32)
+    knots = 3e-6 * np.random.default_rng(1).standard_normal((2, 8))  # of which the analyser interpolates four rows each
+    wander = [np.interp(np.arange(32), 5 * np.arange(8), one) for one in knots]
+    read = 0.0277 * np.exp(-0.064j) + wander[0] + 1j * wander[1]
+    rows = np.column_stack([hertz, read.real, read.imag])
+    np.savetxt(tmp_path / "crystal_1V.csv", rows, delimiter=",", header="f [Hz],X [V],Y [V]", comments="", fmt="%.12g")
+    case = mg.import_case([tmp_path / "crystal_1V.csv"], tmp_path / "case").case
+    said = beside_design(case)
+    assert said[0].startswith("resonance: the records show none"), said
+    assert "968.8 Hz" in said[0]
+    assert not any(sentence.startswith("quality_factor") for sentence in said)
