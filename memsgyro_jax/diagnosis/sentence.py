@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence, Set
 from .findings import Accepted
 from .fit import CaseFit
 from .onset import Onset
-from .result import Verdict
+from .result import UNEXPLAINED, Verdict
 
 
 SLIGHT, NEAR = 0.01, 5.0  # of the χ² that the strongest effect takes, and times the noise: less is told apart from it
+FAR_OFF = 2.0  # times the noise, in readings that an explanation did not have to explain
 UNEVEN = "quadratic_stiffness"  # which a lock-in sees by its softening alone
 DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 COURSE = "another course with temperature and bias voltage"  # where as many strengths as settings tell theirs
@@ -49,7 +50,20 @@ def sentence(
         "unknown_effect": "Something is missing that no known effect explains"
         + (f". {_from_where(onset)}, beside that model" if onset else ": it shows")
         + f" in {left}.{unused}",
-    }[verdict]
+    }[verdict] + ("" if verdict in UNEXPLAINED else _excused(final))
+
+
+def _excused(final: CaseFit) -> str:
+    """Of an explanation, which records far from it in what was not fitted it stands beside; else empty."""
+    off = [e for e in final.errors if e.role == "validation" and e.rms > FAR_OFF and not e.explained]
+    if not off:
+        return ""
+    where = ", ".join(f"{e.name} ({e.rms:.3g} × noise)" for e in off)
+    have = "it has" if len(off) == 1 else "they have"
+    return (
+        f" What was not fitted of {where} is no part of that: the fit is too unsure of its numbers, or the noise too "
+        f'little known, to be denied by it. Where {have} role = "fit" in the case, all rows are fitted.'
+    )
 
 
 def before_all(contradictions: Sequence[str]) -> str:

@@ -187,8 +187,7 @@ def _clear_of_zero(operator: np.ndarray) -> np.ndarray:
 
 def _of_modulus(omega, motion, force, weight):
     """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω² − c·|X|², where c bends the resonance
-    over, as a stiffness that changes with the amplitude does, where that explains much more and leaves it in the band:
-    a shunt, or readings that clip, look a little like a bend of many widths.
+    over, where that explains much more and leaves it in the band: a shunt, or a clip, looks like many widths of bend.
     """
     amplitude, drive = np.abs(motion[:, 0]), np.abs(force[:, 0])
     target, error = (drive / amplitude) ** 2, 2 * drive**2 / (amplitude**3 * weight)
