@@ -30,7 +30,7 @@ from .imported_conditions import CONDITIONS, beside_conditions, columns_of_point
 from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as, running
 from .thinning import thinned
 from .told_beside import driven_axis, reference_of
-from .tracking import rough_decay
+from .tracking import rough_decay, too_slow
 from .two_channels import said_of_channels
 
 
@@ -287,7 +287,13 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
             said.append("the free decay " + words.format(f"{time.values[row]:.6g} {time.unit}"))
             ends[key] = {"value": float(time.values[row]), "unit": time.unit}
     rows = slice(part.begin, part.end)
-    design = rough_decay(to_si(time.values[rows], time.unit, "s", "t"), signal[rows])
+    seconds = to_si(time.values[rows], time.unit, "s", "t")
+    design = rough_decay(seconds, signal[rows])
+    if slowest := too_slow(seconds, signal[rows]):
+        said.append(
+            f"the resonance is taken for {design['resonance'][0]:.3g} Hz, though most of what vibrates is below "
+            f"{slowest:.3g} Hz, with fewer than four periods in the decay, too few to tell one"
+        )
     keys = stamps(time, said) | ends
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(said), design=design

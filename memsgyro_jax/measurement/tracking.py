@@ -175,6 +175,18 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
     return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
 
 
+def too_slow(time: np.ndarray, signal: np.ndarray) -> float:
+    """The frequency [Hz] below which `rough_decay` looks for nothing, four periods in the record (n,) [s], where most of
+    what a real signal (n,) is beside a straight line lies there; zero elsewhere.
+    """
+    period, count = usual_period(time), len(time)
+    even = np.interp(np.arange(count) * period + time[0], time, signal)
+    place = np.linspace(-1.0, 1.0, count)
+    even = (even - np.polyval(np.polyfit(place, even, 1), place)) * np.hanning(count)
+    power = np.abs(np.fft.rfft(even)) ** 2
+    return 4.0 / (period * count) if np.sum(power[1:4]) > np.sum(power[5:]) else 0.0
+
+
 def _strongest(
     time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float, rows: int
 ) -> float:

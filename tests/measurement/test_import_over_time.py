@@ -262,3 +262,15 @@ def test_a_damping_that_a_decay_does_not_tell_is_left_to_the_fit():
     assert rough["resonance"][0] == pytest.approx(1.08, rel=0.02)
     assert "resonance = { value = 1.0" in text
     assert "quality_factor = { unknown = true }" in text
+
+
+@pytest.mark.parametrize(("hertz", "told"), [(1.08, True), (6.2, False)])
+def test_a_decay_of_fewer_than_four_periods_is_told(hertz, told, tmp_path):
+    """Of a pendulum's two swings the third harmonic was taken for the resonance, without a word."""
+    time = 0.0257 * np.arange(90)
+    turn = 2 * np.pi * hertz * time
+    volts = 40.0 * np.exp(-0.35 * time) * (np.cos(turn) + 0.3 * np.cos(3 * turn) * (hertz < 2))
+    volts += 0.2 * np.random.default_rng(3).normal(size=time.size)
+    np.savetxt(tmp_path / "a.csv", np.column_stack([time, volts]), delimiter=",", header="t [s],x [V]", comments="")
+    text = str(mg.import_case([tmp_path / "a.csv"], tmp_path / "case"))
+    assert ("most of what vibrates is below" in text) == told, text
