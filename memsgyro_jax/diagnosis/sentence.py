@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence, Set
 
+import numpy as np
+
 from .findings import Accepted
 from .fit import CaseFit
 from .onset import Onset
@@ -50,7 +52,7 @@ def sentence(
         "unknown_effect": "Something is missing that no known effect explains"
         + (f". {_from_where(onset)}, beside that model" if onset else ": it shows")
         + f" in {left}.{unused}",
-    }[verdict] + ("" if verdict in UNEXPLAINED else _excused(final))
+    }[verdict] + ("" if verdict in UNEXPLAINED else _excused(final) + _unheld(final))
 
 
 def _excused(final: CaseFit) -> str:
@@ -64,6 +66,14 @@ def _excused(final: CaseFit) -> str:
         f" What was not fitted of {where} is no part of that: the fit is too unsure of its numbers, or the noise too "
         f'little known, to be denied by it. Where {have} role = "fit" in the case, all rows are fitted.'
     )
+
+
+def _unheld(final: CaseFit) -> str:
+    """That an explanation says little, of records that do not hold a resonance of the device; else empty."""
+    loose = [f"{m.value:.3g} ± {m.std:.2g} Hz" for m in final.modes if m.unit == "Hz" and m.value < m.std < np.inf]
+    if not loose:
+        return ""
+    return f" That says little, as these records hold no resonance ({', '.join(loose)})."
 
 
 def before_all(contradictions: Sequence[str]) -> str:

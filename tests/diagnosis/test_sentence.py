@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from memsgyro_jax.diagnosis.findings import Accepted
-from memsgyro_jax.diagnosis.fitted import RecordError
+from memsgyro_jax.diagnosis.fitted import ParameterEstimate, RecordError
 from memsgyro_jax.diagnosis.sentence import denied, sentence
 
 
-FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)])
+FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)], modes=())
 
 
 def effect(name, chi2):
@@ -70,7 +70,15 @@ def test_what_was_not_fitted_and_lies_far_off_is_told(verdict, off, said):
     fit held no damping.
     """
     errors = [RecordError("a", "fit", 6, 6.0, 2.25), RecordError("a", "validation", 6, 6 * off**2, 2.25)]
-    text = sentence(verdict, (), SimpleNamespace(errors=errors), [True, verdict == "nothing_missing"])
+    text = sentence(verdict, (), SimpleNamespace(errors=errors, modes=()), [True, verdict == "nothing_missing"])
     assert ("What was not fitted of a (8.6 × noise) is no part of that" in text) == (
         said and verdict == "nothing_missing"
     )
+
+
+@pytest.mark.parametrize(("std", "said"), [(93.0, True), (0.1, False), (float("inf"), False)])
+def test_that_nothing_is_missing_says_little_where_nothing_is_held(std, said):
+    """Of a pendulum's decay of two swings, beside 6.02 ± 93 Hz."""
+    mode = ParameterEstimate("resonance frequency", 6.02, std, "Hz")
+    text = sentence("nothing_missing", (), SimpleNamespace(errors=FINAL.errors, modes=(mode,)), [True])
+    assert ("these records hold no resonance (6.02 ± 93 Hz)" in text) == said
