@@ -176,7 +176,7 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
 
 
 def too_slow(time: np.ndarray, signal: np.ndarray) -> float:
-    """The frequency [Hz] below which `rough_decay` looks for nothing, four periods in the record (n,) [s], where most of
+    """The frequency [Hz] below which `rough_decay` looks for nothing, four periods in a record (n,) [s], where most of
     what a real signal (n,) is beside a straight line lies there; zero elsewhere.
     """
     period, count = usual_period(time), len(time)

@@ -25,7 +25,7 @@ def unnamed_sweep(table: SourceTable) -> dict[str, list[SourceColumn]]:
     values = first.values
     if len(others) not in (1, 2) or not np.all(np.isfinite(values)):
         return {}
-    dated = values.max() > _CALENDAR[0] and values.min() < _CALENDAR[1] or values.max() > _HIGHEST
+    dated = (values.max() > _CALENDAR[0] and values.min() < _CALENDAR[1]) or values.max() > _HIGHEST
     if dated or values.min() <= max(1.0, 0.5 * np.ptp(values)):
         return {}
     size, angle = others[0], others[-1]

@@ -253,7 +253,7 @@ def test_a_decay_alone_whose_calibration_is_declared_is_led_to_a_case(tmp_path):
 
 
 def test_a_damping_that_a_decay_does_not_tell_is_left_to_the_fit():
-    """A pendulum of two swings that did not fall: `import` wrote a quality factor of 5e8 within a factor of three, which
+    """A pendulum that does not fall: `import` wrote a quality factor of 5e8 within a factor of three, which
     `check` then laid beside what the records show.
     """
     time = 0.0257 * np.arange(600)

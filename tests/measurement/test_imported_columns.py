@@ -181,7 +181,7 @@ def test_amplitudes_alone_do_not_tell_what_is_read_and_that_is_said(tmp_path):
     ],
 )  # fmt: skip
 def test_a_map_to_copy_fits_what_columns_without_names_hold(columns, map_, tmp_path):
-    """An Arduino's frequency, an unused zero and counts; a network analyser's gigahertz, dB and degrees: a frequency was
+    """An Arduino's frequency, unused zeros and counts; a network analyser's gigahertz, dB and degrees: a frequency was
     a time, nothing an in-phase part, and decibels and degrees one of a phasor each.
     """
     path = wrote(tmp_path / "s_1V.csv", "", *columns)

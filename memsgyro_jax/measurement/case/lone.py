@@ -66,7 +66,7 @@ def lone_sentences(records: Sequence[AbstractRecord]) -> list[list[str]]:
     """Of each record a sentence for each row that stands alone among its neighbours.
 
     None where a resonance explains it of which the sweep has a row or two: one whose flanks stand beside it, one that
-    another channel, sweep or record shows there, or that leaves other sweeps off their neighbours at the same frequency.
+    another channel, sweep or record shows there, or that leaves other sweeps off their neighbours at its frequency.
     """
     said: list[list[str]] = [[] for _ in records]
     for course, row, sigmas in _lone(records):

@@ -11,7 +11,7 @@ from memsgyro_jax.base.text import spoken
 
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
-_ALONE, _AROUND = 1.5, 8  # times each other change within so many rows: where readings are held for some, more are sudden
+_ALONE, _AROUND = 1.5, 8  # times each other change within so many rows: readings that are held change again
 _CHANGED = np.log(1.5)  # a factor from row to row that may be a gain that was changed
 _TURNS = np.radians(20.0)  # from row to row beside a resonance; a fall turns by several times that
 _ALIKE = 0.02  # of a drive: within it sweeps have the same
