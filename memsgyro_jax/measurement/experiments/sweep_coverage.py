@@ -109,9 +109,11 @@ def sudden_fall(size: np.ndarray) -> int | None:
     steps = np.abs(np.diff(size))
     beside = np.maximum(steps[:-2], steps[2:])
     falls = np.flatnonzero((steps[1:-1] > _FALL * np.nanmax(size)) & (steps[1:-1] > _SUDDEN * beside))
-    near = [np.delete(steps[max(row + 1 - _AROUND, 0) : row + 2 + _AROUND], min(row + 1, _AROUND)) for row in falls]
-    alone = [row for row, others in zip(falls, near, strict=True) if steps[row + 1] > _ALONE * np.nanmax(others)]
-    return int(alone[0]) + 1 if alone else None
+    for row in falls + 1:
+        others = np.concatenate([steps[max(row - _AROUND, 0) : row], steps[row + 1 : row + 1 + _AROUND]])
+        if steps[row] > _ALONE * np.nanmax(others):
+            return int(row)
+    return None
 
 
 def at_one_gain(response: np.ndarray) -> np.ndarray:
