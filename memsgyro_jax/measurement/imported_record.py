@@ -147,15 +147,20 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
     every = [column.values for role, column in meaning.columns.items() if role not in NOISE_COLUMNS]
     kept = np.all([np.isfinite(values) for values in every], axis=0)
     if not kept.all():
-        assumed.append(f"{(~kept).sum()} rows without a number are left out")
+        assumed.append(_left_out(int((~kept).sum()), "without a number"))
     values = np.stack([np.asarray(column.values, float)[kept] for column in meaning.columns.values()], axis=1)
     first = np.sort(np.unique(values, axis=0, return_index=True)[1])
     if len(first) < len(values):
-        assumed.append(f"{len(values) - len(first)} rows that repeat an earlier one to the last digit are left out")
+        copies = len(values) - len(first)
+        assumed.append(_left_out(copies, f"that repeat{'s' * (copies == 1)} an earlier one to the last digit"))
     if len(first) < 3:
         raise InputError(f"{table.path}: must hold at least three rows of numbers, but holds {len(first)}.")
     places = np.flatnonzero(kept)[first]
     return {role: SourceColumn(c.name, c.unit, c.values[places]) for role, c in meaning.columns.items()}
+
+
+def _left_out(rows: int, which: str) -> str:
+    return f"{rows} row{'s' * (rows > 1)} {which} {'are' if rows > 1 else 'is'} left out"
 
 
 def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
