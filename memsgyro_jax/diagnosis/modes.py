@@ -21,20 +21,26 @@ def mode_estimates(optimum: Optimum, axes: int) -> tuple[ParameterEstimate, ...]
     Of a damping that is not told from none the quality factor has no standard deviation but a bound.
     """
     held, size = optimum.information, 2 * _PAIRS[axes]
-    values = _modes(optimum.vector, axes)
+    values = _modes(optimum.vector, axes)  # of which the losses, unlike quality factors, are straight in the dampings
     variance = np.zeros_like(values)
     moved = np.zeros_like(optimum.vector)
     for column in np.asarray(held.root).T:
         moved[optimum.free] = _STEP * column
-        variance += ((_modes(optimum.vector + moved, axes) - _modes(optimum.vector - moved, axes)) / (2 * _STEP)) ** 2
+        with np.errstate(invalid="ignore"):  # of a spring that pushes
+            step = _modes(optimum.vector + moved, axes) - _modes(optimum.vector - moved, axes)
+        variance += (step / (2 * _STEP)) ** 2
     if np.any(np.asarray(held.loose) & (optimum.free < size)):
         variance[:] = np.inf
+    std = np.sqrt(variance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        std[axes:] /= values[axes:] ** 2
+        values[axes:] = 1.0 / values[axes:]
     frequencies = ["lower undamped frequency", "upper undamped frequency"] if axes == 2 else ["resonance frequency"]
     names = [*frequencies, *(f"{mode}quality factor" for mode in _MODES[axes])]
     units = ["Hz"] * axes + ["1"] * axes
     found = [
-        ParameterEstimate(name, float(value), float(std), unit)
-        for name, value, std, unit in zip(names, values, np.sqrt(variance), units, strict=True)
+        ParameterEstimate(name, float(value), float(one), unit)
+        for name, value, one, unit in zip(names, values, std, units, strict=True)
     ]
     return (*found[:axes], *map(_told_of_quality, found[axes:]))
 
@@ -60,13 +66,13 @@ def _told_of_quality(mode: ParameterEstimate) -> ParameterEstimate:
 
 
 def _modes(vector: np.ndarray, axes: int) -> np.ndarray:
-    """Frequencies [Hz], then quality factors."""
+    """Frequencies [Hz], then losses, one over each quality factor."""
     stiffness, damping = (_matrix(part) for part in np.split(vector[: 2 * _PAIRS[axes]], 2))
     squares, shapes = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squares, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        quality = omega / np.einsum("ai,ab,bi->i", shapes, damping, shapes)
-    return np.concatenate([omega / (2 * np.pi), quality])
+        losses = np.einsum("ai,ab,bi->i", shapes, damping, shapes) / omega
+    return np.concatenate([omega / (2 * np.pi), losses])
 
 
 def _matrix(entries: np.ndarray) -> np.ndarray:

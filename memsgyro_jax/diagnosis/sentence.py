@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping, Sequence, Set
 
+import numpy as np
+
 from .findings import Accepted
 from .fit import CaseFit
 from .onset import Onset
-from .result import Verdict
+from .result import UNEXPLAINED, Verdict
 
 
 SLIGHT, NEAR = 0.01, 5.0  # of the χ² that the strongest effect takes, and times the noise: less is told apart from it
+FAR_OFF = 2.0  # times the noise, in readings that an explanation did not have to explain
 UNEVEN = "quadratic_stiffness"  # which a lock-in sees by its softening alone
 DRIFT = "frequency_drift"  # in time, which a lone decay may not tell from a law
 COURSE = "another course with temperature and bias voltage"  # where as many strengths as settings tell theirs
@@ -49,7 +52,28 @@ def sentence(
         "unknown_effect": "Something is missing that no known effect explains"
         + (f". {_from_where(onset)}, beside that model" if onset else ": it shows")
         + f" in {left}.{unused}",
-    }[verdict]
+    }[verdict] + ("" if verdict in UNEXPLAINED else _excused(final) + _unheld(final))
+
+
+def _excused(final: CaseFit) -> str:
+    """Of an explanation, which records far from it in what was not fitted it stands beside; else empty."""
+    off = [e for e in final.errors if e.role == "validation" and e.rms > FAR_OFF and not e.explained]
+    if not off:
+        return ""
+    where = ", ".join(f"{e.name} ({e.rms:.3g} × noise)" for e in off)
+    have = "it has" if len(off) == 1 else "they have"
+    return (
+        f" What was not fitted of {where} is no part of that: the fit is too unsure of its numbers, or the noise too "
+        f'little known, to be denied by it. Where {have} role = "fit" in the case, all rows are fitted.'
+    )
+
+
+def _unheld(final: CaseFit) -> str:
+    """That an explanation says little, of records that do not hold a resonance of the device; else empty."""
+    loose = [f"{m.value:.3g} ± {m.std:.2g} Hz" for m in final.modes if m.unit == "Hz" and m.value < m.std < np.inf]
+    if not loose:
+        return ""
+    return f" That says little, as these records hold no resonance ({', '.join(loose)})."
 
 
 def before_all(contradictions: Sequence[str]) -> str:

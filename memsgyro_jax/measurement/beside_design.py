@@ -18,6 +18,7 @@ _OFF = 2.0  # degrees of phase that are worth a sentence
 _SURE = 2.0  # times its tolerance, within which a scale may be
 _DIGITS = 12  # of a resonance, which records tell no better
 _NO_WIDTH = 1e10  # of a quality factor: a resonance between two rows, or none
+_PART = 0.1  # of the width of a resonance, below which a band shows nothing of it
 _FAR = 2.0  # half widths from the resonance, beyond which a bent peak counts for nothing
 
 
@@ -37,6 +38,9 @@ def beside_design(case: Case) -> tuple[str, ...]:
         "static_gain": float(device.mobility) / omega**2,
     }
     said = []
+    if rows and case.design["resonance"].unknown and (band := _too_narrow(rows, float(device.damping[0]))):
+        where = f"over their band of {spoken(band, 'Hz')} the readings are straight, as far beside one"
+        return (f"resonance: the records show none: {where}.",)
     for key, value in shown.items():
         design = case.design[key]
         if key == "static_gain" and (design.unknown or not rows):
@@ -92,6 +96,14 @@ def _number(key: str, value: float, quality_factor: float) -> str:
     return spoken(value / (2.0 * np.pi), "Hz", digits) if key == "resonance" else f"{value:.4g}"
 
 
+def _too_narrow(rows: list[Phasors], width: float) -> float:
+    """The band [Hz] that rows cover where it is far narrower than the width [rad/s] of the resonance that explains them
+    best; zero elsewhere.
+    """
+    places = np.concatenate([row.omega for row in rows])
+    return float(np.ptp(places)) / (2.0 * np.pi) * float(np.ptp(places) < _PART * width)
+
+
 def _weakest(case: Case, read: bool = False) -> list[Phasors]:
     """The rows of the records that are driven least, which bend least; of those alone whose phasors were `read`, as the
     lines of a record over time are spectra under a window.
@@ -120,6 +132,7 @@ def _phases(rows: list[Phasors], read: str, omega: float, width: float) -> list[
     if turned == 0 or min(abs(angle), 180.0 - abs(angle)) < _OFF:
         return []
     angle -= 180.0 * np.sign(angle) * (abs(angle) > 90.0)
-    turn = f"turned by about {angle:+.2g}° against a {read}"
+    article = "an" if read.startswith("a") else "a"
+    turn = f"turned by about {angle:+.2g}° against {article} {read}"
     cause = "the reference, a delay, or what couples into the read-out; `memsgyro diagnose` tells which"
     return [f"phase: aside of the resonance the weakest sweeps are {turn}: by {cause}."]

@@ -22,6 +22,7 @@ from .declared import QUANTITIES
 from .imported_record import ImportedRecord
 from .imported_sweep import OPPOSITE
 from .opposite_phase import opposite_phase
+from .tracking import UNTOLD
 
 
 _LOCK_IN = "V(t) = Re[(I + i Q) exp(i w t)] for a drive F cos(w t); amplitudes are peak values"
@@ -125,6 +126,8 @@ def _design(records: list[ImportedRecord], two: bool) -> str:
     rough = records[0].design
     entries = {
         key: {"value": value, "low": value / spread, "high": value * spread, "unit": unit}
+        if value < UNTOLD or unit == "Hz"
+        else {"unknown": True}
         for (key, (value, unit)), spread in zip(rough.items(), SPREADS.values(), strict=True)
     }
     return _OF_DECAYS + toml_table("design", entries)

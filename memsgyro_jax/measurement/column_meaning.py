@@ -16,6 +16,7 @@ from .formats.header import SPECIAL
 from .immittance import immittance_part
 from .imported_columns import is_same_kind
 from .two_channels import PARTS, axis_of_drive, channel_and_part, plain_words, two_channels, two_drives, two_waveforms
+from .unnamed_columns import unnamed_sweep
 
 
 _UNUSED = re.compile(
@@ -39,7 +40,6 @@ _DC_VOLTAGE = re.compile(  # whole names: a reading or a drive may have a part o
 _TURN_RATE = re.compile(r"^(rate|angular rate|turn rate|table rate|rate table|omega z?|ω)$")
 NOISE = {"std": "std", "vx std": "x_std", "x std": "x_std", "vy std": "y_std", "y std": "y_std"}
 """Whole names of the standard deviation of each row, of all channels or of one."""
-_EPOCH = 1e9  # above it a first column may be the seconds of a calendar
 _DIMENSIONS = {"f": "Hz", "t": "s", "T": "K", "phase": "rad"}
 
 
@@ -292,8 +292,8 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
 
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
     """The names, and the words to copy."""
-    if "f" not in found and _is_unnamed_sweep(table):
-        found = {"f": table.columns[:1], "I": table.columns[1:2], "Q": table.columns[2:]}
+    if "f" not in found:
+        found = unnamed_sweep(table) or found
     over_time = "f" not in found
     waveforms = ("t", "signal", "y_signal") if "y_signal" in found else ("t", "signal")
     roles: tuple[str, ...] = (
@@ -302,7 +302,7 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
     if not over_time and any(_repeated(table, found, role) for role in roles[1:]):
         roles += tuple(f"y_{role}" for role in roles[1:])
     words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x", "y_signal": "y"}
-    rest = [c for c in table.columns if c.values.dtype.kind in "iuf"]
+    rest = [c for c in table.columns if c.values.dtype.kind in "iuf" and np.nanmin(c.values) < np.nanmax(c.values)]
     pairs = []
     for role in roles:
         part = role.removeprefix("y_")
@@ -324,19 +324,6 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
     return InputError(
         f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}{clock}.'
     )
-
-
-def _is_unnamed_sweep(table: SourceTable) -> bool:
-    """Whether a table of three columns without names begins with what rises like a frequency, in a band away from zero,
-    and not like a time.
-    """
-    columns = table.columns
-    if len(columns) != 3 or not all(
-        re.fullmatch(r"column \d+", c.name) and c.values.dtype.kind in "iuf" for c in columns
-    ):
-        return False
-    first = columns[0].values
-    return bool(np.all(np.isfinite(first)) and first.min() > max(1.0, 0.5 * np.ptp(first)) and first.max() < _EPOCH)
 
 
 def _repeated(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], role: str) -> bool:

@@ -43,6 +43,17 @@ def time_column(table: SourceTable, column: SourceColumn, assumed: list[str]) ->
     return with_usual_unit(column, "s", "time", assumed)
 
 
+def in_decibels(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
+    """The columns with the magnitudes in dB that are below zero, as no amplitude is, and have no unit."""
+    found = {}
+    for role in ("amp", "y_amp"):
+        column = rows.get(role)
+        if column is not None and not column.unit and np.median(column.values) < 0:
+            assumed.append(f"`{column.name}` is in dB, as it is below zero")
+            found[role] = SourceColumn(column.name, "dB", column.values)
+    return {**rows, **found}
+
+
 def angle_column(column: SourceColumn, assumed: list[str]) -> SourceColumn:
     """Phases in their unit, or in that which their values suggest."""
     if column.unit:

@@ -22,14 +22,15 @@ from .imported_columns import (
     cut_column,
     from_effective,
     headed,
+    in_decibels,
     reading_column,
     time_column,
 )
 from .imported_conditions import CONDITIONS, beside_conditions, columns_of_points, columns_of_rate_table, stamps
-from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as
+from .imported_sweep import at_level, columns_of_sweep, phasor_columns_of, phasors_of, read_as, running
 from .thinning import thinned
 from .told_beside import driven_axis, reference_of
-from .tracking import rough_decay
+from .tracking import rough_decay, too_slow
 from .two_channels import said_of_channels
 
 
@@ -146,18 +147,24 @@ def _finite(table: SourceTable, meaning: Meaning, assumed: list[str]) -> dict[st
     every = [column.values for role, column in meaning.columns.items() if role not in NOISE_COLUMNS]
     kept = np.all([np.isfinite(values) for values in every], axis=0)
     if not kept.all():
-        assumed.append(f"{(~kept).sum()} rows without a number are left out")
+        assumed.append(_left_out(int((~kept).sum()), "without a number"))
     values = np.stack([np.asarray(column.values, float)[kept] for column in meaning.columns.values()], axis=1)
     first = np.sort(np.unique(values, axis=0, return_index=True)[1])
     if len(first) < len(values):
-        assumed.append(f"{len(values) - len(first)} rows that repeat an earlier one to the last digit are left out")
+        copies = len(values) - len(first)
+        assumed.append(_left_out(copies, f"that repeat{'s' * (copies == 1)} an earlier one to the last digit"))
     if len(first) < 3:
         raise InputError(f"{table.path}: must hold at least three rows of numbers, but holds {len(first)}.")
     places = np.flatnonzero(kept)[first]
     return {role: SourceColumn(c.name, c.unit, c.values[places]) for role, c in meaning.columns.items()}
 
 
+def _left_out(rows: int, which: str) -> str:
+    return f"{rows} row{'s' * (rows > 1)} {which} {'are' if rows > 1 else 'is'} left out"
+
+
 def _sweep(about: dict, table: SourceTable, meaning: Meaning, rows: dict, given: Given, assumed: list[str]):
+    rows = in_decibels(running(rows, assumed), assumed)
     axis = driven_axis(table, rows, given.axis, meaning, assumed)
     columns, keys, quantity = columns_of_sweep(table, rows, given.drive, axis, assumed)
     return ImportedRecord(
@@ -285,7 +292,13 @@ def _decay(about: dict, columns: dict[str, SourceColumn], assumed: list[str]) ->
             said.append("the free decay " + words.format(f"{time.values[row]:.6g} {time.unit}"))
             ends[key] = {"value": float(time.values[row]), "unit": time.unit}
     rows = slice(part.begin, part.end)
-    design = rough_decay(to_si(time.values[rows], time.unit, "s", "t"), signal[rows])
+    seconds = to_si(time.values[rows], time.unit, "s", "t")
+    design = rough_decay(seconds, signal[rows])
+    if slowest := too_slow(seconds, signal[rows]):
+        said.append(
+            f"the resonance is taken for {design['resonance'][0]:.3g} Hz, though most of what vibrates is below "
+            f"{slowest:.3g} Hz, with fewer than four periods in the decay, too few to tell one"
+        )
     keys = stamps(time, said) | ends
     return ImportedRecord(
         **about, kind="free_decay", columns=headed(columns), keys=keys, assumed=tuple(said), design=design

@@ -36,6 +36,17 @@ _HEARD, _TURNS = 0.1, 1.5 * np.pi  # of the largest reading; rad, where settled 
 _INSIDE = 0.01  # of the band, from its ends: where a largest reading is that of a resonance
 
 
+def running(rows: Mapping[str, SourceColumn], assumed: list[str]) -> dict[str, SourceColumn]:
+    """The columns without the rows at 0 Hz with which spectra begin."""
+    kept = np.asarray(rows["f"].values) != 0
+    if kept.all():
+        return {**rows}
+    number = int(np.sum(~kept))
+    which = "the row at 0 Hz, which tells" if number == 1 else f"{number} rows at 0 Hz, which tell"
+    assumed.append(f"{which} nothing of a resonance, {'is' if number == 1 else 'are'} left out")
+    return {role: SourceColumn(c.name, c.unit, c.values[kept]) for role, c in rows.items()}
+
+
 def columns_of_sweep(
     table: SourceTable,
     rows: Mapping[str, SourceColumn],

@@ -29,7 +29,7 @@ _CLEAR = 100.0  # standard deviations of the largest reading of a record that te
 _UNSHARED = 0.1  # of the squared motion, left by a device that several drives do not share
 _SAME = 0.01  # of a drive level: repeats of it
 _NARROW = 1e-3  # of the distance from row to row: a resonance within it is one row's own
-_BETTER = 0.5  # of the squared error of the plain resonance that this must come to
+_BETTER = 0.5  # of the squared error of the plain resonance that one with more numbers must come to
 
 
 Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobility per mass
@@ -187,19 +187,22 @@ def _clear_of_zero(operator: np.ndarray) -> np.ndarray:
 
 def _of_modulus(omega, motion, force, weight):
     """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω² − c·|X|², where c bends the resonance
-    over, as a stiffness that changes with the amplitude does.
+    over, where that explains much more and leaves it in the band: a shunt, or a clip, looks like many widths of bend.
     """
     amplitude, drive = np.abs(motion[:, 0]), np.abs(force[:, 0])
     target, error = (drive / amplitude) ** 2, 2 * drive**2 / (amplitude**3 * weight)
     reach = _BENT * np.ptp(omega**2) / np.max(amplitude) ** 2
     bent = lambda c: _parabola(omega**2 - c * amplitude**2, target, error)  # noqa: E731
+    misfit, straight = bent(0.0)
+    near = lambda one: one and (not straight or min(omega) <= one.stiffness[0] ** 0.5 <= max(omega))  # noqa: E731
     net = np.linspace(-reach, reach, _BENDS)
-    usable = [(one[0], c) for c in net if (one := bent(c))[1] is not None]
+    usable = [(one[0], c) for c in net if near((one := bent(c))[1])]
     if not usable:
-        return None
+        return straight
     best, step = min(usable)[1], net[1] - net[0]
-    finer = [c for c in np.linspace(best - step, best + step, _FINER) if bent(c)[1] is not None]
-    return bent(min(finer, key=lambda c: bent(c)[0]))[1]
+    finer = [c for c in np.linspace(best - step, best + step, _FINER) if near(bent(c)[1])]
+    less, device = bent(min(finer, key=lambda c: bent(c)[0]))
+    return device if straight is None or less < _BETTER * misfit else straight
 
 
 def _parabola(square, target, error):

@@ -17,6 +17,7 @@ from .standing_line import without_steady_lines
 CYCLES = 6  # of the vibration in a window at least
 ROWS = 12  # in a window at least
 ROUNDS = 8  # of moving the frequency
+UNTOLD = 5e8  # the quality factor of what does not fall: none that a record tells
 STRAYED = 0.5  # of a frequency: a window that moves it farther, or out of its band, shows no vibration there
 SURE = 2.0  # standard deviations by which a frequency must differ
 SEEN = 10.0  # standard deviations of its own from which an amplitude counts
@@ -159,6 +160,9 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
     Args:
         time: (n,) [s].
         signal: (n,) real, or phasors at `reference` [Hz].
+
+    Returns:
+        Name of the design to value and unit; the quality factor is `UNTOLD` where nothing falls.
     """
     period, omega = usual_period(time), 2 * np.pi * reference
     slowest = 8 * np.pi / (period * len(time))
@@ -167,8 +171,20 @@ def rough_decay(time: np.ndarray, signal: np.ndarray, reference: float = 0.0) ->
         signal = without_steady_lines(time, signal)
     track = tracked(time, signal, band, reference=omega)
     resonance, decay = track.usual
-    quality = resonance / (2 * max(decay, 1e-9 * resonance))
+    quality = min(resonance / (2 * decay), UNTOLD) if decay > 0 else UNTOLD
     return {"resonance": (resonance / (2 * np.pi), "Hz"), "quality_factor": (max(quality, 1.0), "1")}
+
+
+def too_slow(time: np.ndarray, signal: np.ndarray) -> float:
+    """The frequency [Hz] below which `rough_decay` looks for nothing, four periods in a record (n,) [s], where most of
+    what a real signal (n,) is beside a straight line lies there; zero elsewhere.
+    """
+    period, count = usual_period(time), len(time)
+    even = np.interp(np.arange(count) * period + time[0], time, signal)
+    place = np.linspace(-1.0, 1.0, count)
+    even = (even - np.polyval(np.polyfit(place, even, 1), place)) * np.hanning(count)
+    power = np.abs(np.fft.rfft(even)) ** 2
+    return 4.0 / (period * count) if np.sum(power[1:4]) > np.sum(power[5:]) else 0.0
 
 
 def _strongest(

@@ -57,3 +57,14 @@ def test_what_is_not_held_is_said():
 
 def test_an_unstable_fit_has_no_frequency():
     assert mode_estimates(optimum([-1.0, 20.0, 1.0, 0.0], [1e-3, 1e-3]), 1)[0].value == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("share", [3.0, 1e3, 4e5])
+def test_a_damping_known_to_far_more_than_its_size_bounds_the_quality_factor(share):
+    """From 12 rows beside a resonance a fit had no damping to speak of, and read 6.97e5 ± 1.9e5: the difference of
+    quality factors went through none.
+    """
+    w, q = 22.8, 7e5
+    quality = mode_estimates(optimum([w**2, w / q, 1.0, 0.0], [1e-7 * w**2, share * w / q]), 1)[1]
+    assert np.isinf(quality.std)
+    assert quality.above == pytest.approx(q / (1.0 + 1.645 * share), rel=1e-3)

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from memsgyro_jax.diagnosis.findings import Accepted
-from memsgyro_jax.diagnosis.fitted import RecordError
+from memsgyro_jax.diagnosis.fitted import ParameterEstimate, RecordError
 from memsgyro_jax.diagnosis.sentence import denied, sentence
 
 
-FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)])
+FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)], modes=())
 
 
 def effect(name, chi2):
@@ -61,3 +61,24 @@ def test_what_explains_all_that_was_fitted_is_told_with_what_denies_it(roles, le
     told = denied(SimpleNamespace(errors=errors, leaves_noise=leaves_noise), tried)
     assert ("s explains all records that were fitted; it is denied by decay (246 × noise) alone" in told) == said
     assert bool(told) == said
+
+
+@pytest.mark.parametrize(("off", "said"), [(8.6, True), (1.6, False)])
+@pytest.mark.parametrize("verdict", ["nothing_missing", "unknown_effect"])
+def test_what_was_not_fitted_and_lies_far_off_is_told(verdict, off, said):
+    """Six rows beside a resonance of six that were fitted: "explains every record to its noise" at 8.6 × noise, as the
+    fit held no damping.
+    """
+    errors = [RecordError("a", "fit", 6, 6.0, 2.25), RecordError("a", "validation", 6, 6 * off**2, 2.25)]
+    text = sentence(verdict, (), SimpleNamespace(errors=errors, modes=()), [True, verdict == "nothing_missing"])
+    assert ("What was not fitted of a (8.6 × noise) is no part of that" in text) == (
+        said and verdict == "nothing_missing"
+    )
+
+
+@pytest.mark.parametrize(("std", "said"), [(93.0, True), (0.1, False), (float("inf"), False)])
+def test_that_nothing_is_missing_says_little_where_nothing_is_held(std, said):
+    """Of a pendulum's decay of two swings, beside 6.02 ± 93 Hz."""
+    mode = ParameterEstimate("resonance frequency", 6.02, std, "Hz")
+    text = sentence("nothing_missing", (), SimpleNamespace(errors=FINAL.errors, modes=(mode,)), [True])
+    assert ("these records hold no resonance (6.02 ± 93 Hz)" in text) == said

@@ -1,6 +1,7 @@
 """What a lock-in with two demodulators records over time becomes a free decay of two axes, or a rate table."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import memsgyro_jax as mg
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.device.normalised import NormalisedDevice
 from memsgyro_jax.measurement.case import load_case, write_case
+from memsgyro_jax.measurement.case_of_records import _design
 from memsgyro_jax.measurement.column_map import parse_map
 from memsgyro_jax.measurement.column_meaning import meaning_of
 from memsgyro_jax.measurement.formats import read_instrument_file
 from memsgyro_jax.measurement.readings import model_of, readings_of
+from memsgyro_jax.measurement.tracking import rough_decay
 
 
 REFERENCE = 8050.0
@@ -247,3 +250,27 @@ def test_a_decay_alone_whose_calibration_is_declared_is_led_to_a_case(tmp_path):
     )
     with pytest.raises(InputError, match=r"displacements are lengths; a gain that nothing needs is left out"):
         load_case(tmp_path / "case")
+
+
+def test_a_damping_that_a_decay_does_not_tell_is_left_to_the_fit():
+    """A pendulum that does not fall: `import` wrote a quality factor of 5e8 within a factor of three, which
+    `check` then laid beside what the records show.
+    """
+    time = 0.0257 * np.arange(600)
+    rough = rough_decay(time, np.exp(0.05 * time) * np.cos(2 * np.pi * 1.08 * time))
+    text = _design([SimpleNamespace(design=rough, two_axes=False)], two=False)
+    assert rough["resonance"][0] == pytest.approx(1.08, rel=0.02)
+    assert "resonance = { value = 1.0" in text
+    assert "quality_factor = { unknown = true }" in text
+
+
+@pytest.mark.parametrize(("hertz", "told"), [(1.08, True), (6.2, False)])
+def test_a_decay_of_fewer_than_four_periods_is_told(hertz, told, tmp_path):
+    """Of a pendulum's two swings the third harmonic was taken for the resonance, without a word."""
+    time = 0.0257 * np.arange(90)
+    turn = 2 * np.pi * hertz * time
+    volts = 40.0 * np.exp(-0.35 * time) * (np.cos(turn) + 0.3 * np.cos(3 * turn) * (hertz < 2))
+    volts += 0.2 * np.random.default_rng(3).normal(size=time.size)
+    np.savetxt(tmp_path / "a.csv", np.column_stack([time, volts]), delimiter=",", header="t [s],x [V]", comments="")
+    text = str(mg.import_case([tmp_path / "a.csv"], tmp_path / "case"))
+    assert ("most of what vibrates is below" in text) == told, text

@@ -168,3 +168,45 @@ def test_amplitudes_alone_do_not_tell_what_is_read_and_that_is_said(tmp_path):
     assert "for displacement where none does; amplitudes without a phase do not tell." in str(found)
     found = mg.import_case([wrote(tmp_path / "s_1V.csv", "f [Hz],R [m/s]", F, np.abs(Z))], tmp_path / "known")
     assert "do not tell" not in str(found)
+
+
+@pytest.mark.parametrize(
+    ("columns", "map_"),
+    [
+        ((1e6 * F, np.zeros(F.size), np.abs(Z)), "f=column 1,x_amp=column 3"),
+        ((1e6 * F, np.abs(Z)), "f=column 1,x_amp=column 2"),
+        ((1e6 * F, 20 * np.log10(np.abs(Z)) - 9, np.degrees(np.angle(Z))),
+         "f=column 1,x_amp=column 2 [dB],x_phase=column 3 [deg]"),
+        ((1e6 * F, np.abs(Z), np.degrees(np.angle(Z))), "f=column 1,x_amp=column 2,x_phase=column 3 [deg]"),
+    ],
+)  # fmt: skip
+def test_a_map_to_copy_fits_what_columns_without_names_hold(columns, map_, tmp_path):
+    """An Arduino's frequency, unused zeros and counts; a network analyser's gigahertz, dB and degrees: a frequency was
+    a time, nothing an in-phase part, and decibels and degrees one of a phasor each.
+    """
+    path = wrote(tmp_path / "s_1V.csv", "", *columns)
+    path.write_text(path.read_text().lstrip("\n"))
+    with pytest.raises(mg.InputError) as caught:
+        mg.import_case([path], tmp_path / "case")
+    assert f'--map "{map_}"' in str(caught.value)
+    found = mg.import_case([path], tmp_path / "case", columns=map_)
+    assert found.case.records[0].kind == "frequency_sweep"
+
+
+def test_a_magnitude_below_zero_is_in_decibels(tmp_path):
+    """Those of a network analyser, under `freq, mag, phase`, were refused as amplitudes that are negative."""
+    gain, phase = 20 * np.log10(np.abs(Z) / np.abs(Z).max()) - 29.0, np.degrees(np.angle(Z))
+    found = mg.import_case([wrote(tmp_path / "a.csv", "freq,mag,phase", F, gain, phase)], tmp_path / "case")
+    assert "`mag` is in dB, as it is below zero" in str(found)
+    said = mg.import_case([wrote(tmp_path / "b.csv", "freq,mag [dB],phase [deg]", F, gain, phase)], tmp_path / "said")
+    np.testing.assert_allclose(found.case.records[0].phasors, said.case.records[0].phasors)
+
+
+@pytest.mark.parametrize("header", ["f [Hz],X [V],Y [V]", "f [Hz],R [V],theta [rad]"])
+def test_a_row_at_no_frequency_is_left_out(header, tmp_path):
+    """Every spectrum of modal analysis begins at 0 Hz, and was refused for it."""
+    pair = (Z.real, Z.imag) if "X" in header else (np.abs(Z), np.angle(Z))
+    columns = [np.concatenate([[0.0], column]) for column in (F, *pair)]
+    found = mg.import_case([wrote(tmp_path / "a_1V.csv", header, *columns)], tmp_path / "case")
+    assert found.case.records[0].rows == F.size
+    assert "the row at 0 Hz, which tells nothing of a resonance, is left out" in str(found)

@@ -153,3 +153,18 @@ def test_coupled_axes_are_told_as_well_as_the_noise_allows():
         off.append((numbers / true - 1.0) / least)
     assert np.sqrt(np.mean(np.square(off))) < 1.15
     assert np.max(np.abs(np.mean(off, axis=0))) < 4.0 / np.sqrt(24)
+
+
+@pytest.mark.parametrize(("shunt", "full"), [(14.0, np.inf), (20.0, 440.0), (np.inf, 440.0)])
+def test_a_crystal_beside_its_shunt_and_a_converter_that_clips_bend_no_resonance_over(shunt, full):
+    """Amplitudes of a tuning fork at 32.7585 kHz, in counts, with the antiresonance of its shunt so many hertz above: a
+    resonance bent over by its own band fitted a little less badly, at 32.77 and 32.81 kHz, above all rows.
+    """
+    hertz = np.arange(32740.0, 32777.0, 0.2)
+    away = hertz - 32758.5
+    size = np.abs(1.0 - away / shunt) / np.abs(1.0 + 2j * 16000.0 * away / 32758.5)
+    counts = np.clip(np.round(900.0 * size + 2.0), 1.0, full)
+    omega, force = 2 * np.pi * hertz, np.ones((hertz.size, 1)) + 0j
+    found = device_of_phasors([Phasors(omega, counts[:, None] + 0j, force, np.full(hertz.size, 0.2), True)])
+    assert np.sqrt(float(found.stiffness[0])) / (2 * np.pi) == pytest.approx(32758.5, abs=1.0)
+    assert 5000.0 < np.sqrt(float(found.stiffness[0])) / float(found.damping[0]) < 25000.0

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ..experiments import AbstractRecord
+from ..narrow_peak import is_narrow_peak
 from ..outliers import excursions, lone_rows
 
 
@@ -64,8 +65,8 @@ class _Course:
 def lone_sentences(records: Sequence[AbstractRecord]) -> list[list[str]]:
     """Of each record a sentence for each row that stands alone among its neighbours.
 
-    None where a resonance explains it of which the sweep has a row or two: one that another channel, sweep or record
-    shows there, or that leaves other sweeps off their neighbours at the same frequency.
+    None where a resonance explains it of which the sweep has a row or two: one whose flanks stand beside it, one that
+    another channel, sweep or record shows there, or that leaves other sweeps off their neighbours at its frequency.
     """
     said: list[list[str]] = [[] for _ in records]
     for course, row, sigmas in _lone(records):
@@ -106,6 +107,8 @@ def _lone(records: Sequence[AbstractRecord]) -> Iterator[tuple[_Course, int, flo
 def _of_a_resonance(course: _Course, row: int, courses: Sequence[_Course]) -> bool:
     if not course.over_frequency:
         return False
+    if is_narrow_peak(course.place, course.values, row):
+        return True
     place, step = course.place[row], course.step(row)
     others = [other for other in courses if other.over_frequency and other is not course]
     shown = [other.resonance for other in others if other.resonance]

@@ -11,6 +11,7 @@ from memsgyro_jax.base.text import spoken
 
 _FALL = 0.3  # of the largest reading: a change from row to row that may be a fall from branch to branch
 _SUDDEN = 3.0  # times the changes beside it
+_ALONE, _AROUND = 1.5, 8  # times each other change within so many rows: readings that are held change again
 _CHANGED = np.log(1.5)  # a factor from row to row that may be a gain that was changed
 _TURNS = np.radians(20.0)  # from row to row beside a resonance; a fall turns by several times that
 _ALIKE = 0.02  # of a drive: within it sweeps have the same
@@ -102,13 +103,17 @@ def peaks_not_seen(
 
 
 def sudden_fall(size: np.ndarray) -> int | None:
-    """The row after which readings (n,) of a sweep change at once: by a third of the largest, and by several times the
-    changes beside it; `None` where none does.
+    """The row after which readings (n,) of a sweep change at once: by a third of the largest, by several times the
+    changes beside it, and by more than any other near; `None` where none does.
     """
     steps = np.abs(np.diff(size))
     beside = np.maximum(steps[:-2], steps[2:])
     falls = np.flatnonzero((steps[1:-1] > _FALL * np.nanmax(size)) & (steps[1:-1] > _SUDDEN * beside))
-    return int(falls[0]) + 1 if falls.size else None
+    for row in falls + 1:
+        others = np.concatenate([steps[max(row - _AROUND, 0) : row], steps[row + 1 : row + 1 + _AROUND]])
+        if steps[row] > _ALONE * np.nanmax(others):
+            return int(row)
+    return None
 
 
 def at_one_gain(response: np.ndarray) -> np.ndarray:

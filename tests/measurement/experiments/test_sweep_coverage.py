@@ -120,3 +120,12 @@ def test_ranges_that_are_changed_across_the_peak_do_not_hide_how_the_phase_turns
         (tmp_path / "case.toml").write_text(CASE)
         with pytest.raises(mg.InputError, match=said) if said else nullcontext():
             mg.load_case(tmp_path)
+
+
+@pytest.mark.parametrize("held", [2, 5])
+def test_readings_that_are_held_for_some_rows_are_no_fall(held):
+    """A tuning fork whose converter read anew at every second or fifth row, "as a bent resonance does"."""
+    hertz = np.arange(32745.0, 32769.0, 0.2 if held == 5 else 0.6)
+    read = np.repeat(hertz[held // 2 :: held], held)[: hertz.size]
+    read = np.append(read, np.full(hertz.size - read.size, hertz[-1]))
+    assert said(response(32758.3, 16000.0, read), (slice(0, hertz.size),), hertz) == []
