@@ -34,6 +34,7 @@ from .instrument import beside_case_of, drive_levels, knowledge, with_declared
 from .instrument_told import of_instrument, of_lines
 from .joint_residual import Joint
 from .judged_loosely import judged_loosely, with_these_fitted
+from .late_first import late_first
 from .less_noise import LESS, less_noise, of_less_noise, with_less_noise
 from .listing import followed_candidates, listed_candidates
 from .moved import moved
@@ -143,6 +144,7 @@ def _diagnosed(
         return bool(search.slow) or all(_each_explained(search.steps[-1].fit, search.accepted, level))
 
     def searched(search: Search) -> Iterator[tuple[Search, Ranking, str, Begun]]:
+        search = late_first(search)
         first = search.rank()
         if (behind := behind_filter(search, first)) is not search:
             search, first = behind, behind.rank()

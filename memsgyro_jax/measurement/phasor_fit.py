@@ -15,21 +15,18 @@ import numpy as np
 from memsgyro_jax.device.normalised import NormalisedDevice, is_positive
 
 from .experiments.base import Phasors
+from .one_resonance import ROUNDS, behind_an_instrument, of_modulus
 
 
-ROUNDS, LAST = 12, 6
+LAST = 6
 PAIRS = {1: ((0, 0),), 2: ((0, 0), (1, 1), (0, 1))}
 _FEWEST = 8  # rows of one axis from which a gain that turns the phase, and a background, can be told too
-_BENT, _BENDS, _FINER = 1.5, 301, 41  # how far a resonance may bend over, in widths of the band; steps that are tried
 _STANDS_OUT = 40.0
 _EQUAL = 1e-9  # of a frequency, within which two are one
-_VANISHES = 1e-12  # of the largest operator
 _SHOWN = 0.05  # of the squared motion, left by a device that the records show
 _CLEAR = 100.0  # standard deviations of the largest reading of a record that tells a device by itself
 _UNSHARED = 0.1  # of the squared motion, left by a device that several drives do not share
 _SAME = 0.01  # of a drive level: repeats of it
-_NARROW = 1e-3  # of the distance from row to row: a resonance within it is one row's own
-_BETTER = 0.5  # of the squared error of the plain resonance that one with more numbers must come to
 
 
 Coefficients = tuple[np.ndarray, np.ndarray, float]  # stiffness, damping, mobility per mass
@@ -42,7 +39,7 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
     if not offered or _at_one_frequency(offered):
         return None
     rows = _Rows.of(offered)
-    found = [_of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
+    found = [of_modulus(*rows[:4]) if rows.modulus else None for rows in offered]
     if any(found):
         return next(one for one in found if one is not None)
     try:
@@ -57,7 +54,7 @@ def device_of_phasors(offered: Sequence[Phasors]) -> NormalisedDevice | None:
         steady = all(one.slope is None for one in offered)  # for which alone the following holds; else better than none
         turns = steady or not _is_device(device)
         if rows.motion.shape[1] == 1 and turns and len(rows.omega) >= _FEWEST:
-            device = _turned(device, rows.omega, rows.motion[:, 0], rows.force[:, 0], rows.weight)
+            device = behind_an_instrument(device, rows.omega, rows.motion[:, 0], rows.force[:, 0], rows.weight)
         return NormalisedDevice(*device) if _is_device(device) else None
     except np.linalg.LinAlgError:  # nothing answers, or everything alike
         return None
@@ -135,89 +132,6 @@ def _left(device: NormalisedDevice, rows: list[Phasors]) -> float:
 def _is_device(device) -> bool:
     """Whether it is pushed back and slowed down whichever way it moves."""
     return all(is_positive(np.asarray(entries)) for entries in device[:2])
-
-
-def _turned(plain, omega, motion, force, weight):
-    """The device where gain and background are complex, as instruments have them, and its resonance bends over, where
-    each explains much more.
-
-    (K − ω² + iωD + c|X|²)·X = n(ω)·F with a complex parabola n: a gain that turns the phase, and a background in
-    proportion to the drive, are of this form.
-    """
-    straight, misfit = _with_gain(plain, omega, motion, force, weight, bends=False)
-    bent, less = _with_gain(plain, omega, motion, force, weight, bends=True)
-    if bent is not None and (straight is None or less < _BETTER * misfit):
-        straight, misfit = bent, less
-    alone = plain[0][0] - omega**2 + 1j * omega * plain[1][0]
-    unturned = np.sum(np.abs((motion - plain[2] * force / alone) * weight) ** 2)
-    return plain if straight is None or (misfit > _BETTER * unturned and _is_device(plain)) else straight
-
-
-def _with_gain(plain, omega, motion, force, weight, *, bends: bool):
-    """The device with a gain that turns, `None` for what is none, and its squared misfit."""
-    centre, span = omega.mean(), np.ptp(omega) or 1.0
-    place, near, target = (omega - centre) / span, omega**2 - centre**2, (omega**2 - centre**2) * motion
-    powers = -force[:, None] * place[:, None] ** np.arange(3)
-    columns = np.concatenate([motion[:, None], 1j * omega[:, None] * motion[:, None], powers, 1j * powers], axis=1)
-    square = np.abs(motion) ** 2 / (np.max(np.abs(motion) ** 2) or 1.0)
-    columns = np.concatenate([columns, (square * motion)[:, None]], axis=1) if bends else columns
-    scale = weight / _clear_of_zero(near + 1j * omega * plain[1][0] - (plain[0][0] - centre**2))
-    for _ in range(ROUNDS):
-        left, right = columns * scale[:, None], target * scale
-        left, right = np.concatenate([left.real, left.imag]), np.concatenate([right.real, right.imag])
-        size = np.linalg.norm(left, axis=0)
-        size = np.where(size > 0, size, 1.0)
-        found = np.linalg.lstsq(left / size, right, rcond=1e-12)[0] / size
-        operator = found[0] - near + 1j * omega * found[1] + (found[8] * square if bends else 0.0)
-        scale = weight / _clear_of_zero(operator)
-    stiffness, damping = found[0] + centre**2, found[1]
-    rest = float(np.sum(np.abs((columns @ found - target) * scale) ** 2))
-    if not (stiffness > 0 and damping > _NARROW * span / len(omega)):
-        return None, rest
-    pole = (np.sqrt(stiffness) + 0.5j * damping - centre) / span
-    gain = np.polyval((found[2:5] + 1j * found[5:8])[::-1], pole)
-    return (np.array([stiffness]), np.array([damping]), float(np.abs(gain) * (1.0 if gain.real >= 0 else -1.0))), rest
-
-
-def _clear_of_zero(operator: np.ndarray) -> np.ndarray:
-    """The size of each, at least a part of the largest: without noise one may vanish."""
-    size = np.abs(operator)
-    return np.maximum(size, _VANISHES * size.max() or 1.0)
-
-
-def _of_modulus(omega, motion, force, weight):
-    """The device of one axis behind amplitudes alone: 1/|X|² is a parabola in ω² − c·|X|², where c bends the resonance
-    over, where that explains much more and leaves it in the band: a shunt, or a clip, looks like many widths of bend.
-    """
-    amplitude, drive = np.abs(motion[:, 0]), np.abs(force[:, 0])
-    target, error = (drive / amplitude) ** 2, 2 * drive**2 / (amplitude**3 * weight)
-    reach = _BENT * np.ptp(omega**2) / np.max(amplitude) ** 2
-    bent = lambda c: _parabola(omega**2 - c * amplitude**2, target, error)  # noqa: E731
-    misfit, straight = bent(0.0)
-    near = lambda one: one and (not straight or min(omega) <= one.stiffness[0] ** 0.5 <= max(omega))  # noqa: E731
-    net = np.linspace(-reach, reach, _BENDS)
-    usable = [(one[0], c) for c in net if near((one := bent(c))[1])]
-    if not usable:
-        return straight
-    best, step = min(usable)[1], net[1] - net[0]
-    finer = [c for c in np.linspace(best - step, best + step, _FINER) if near(bent(c)[1])]
-    less, device = bent(min(finer, key=lambda c: bent(c)[0]))
-    return device if straight is None or less < _BETTER * misfit else straight
-
-
-def _parabola(square, target, error):
-    """Squared misfit of target = (K − square)²/σ² + D²·K/σ², and the device; `None` for what is none."""
-    centre, span = square.mean(), np.ptp(square)
-    columns = np.vander((square - centre) / span, 3) / error[:, None]
-    found = np.linalg.lstsq(columns, target / error, rcond=1e-12)[0]
-    misfit = float(np.sum((columns @ found - target / error) ** 2))
-    bend, slope, level = found / np.array([span**2, span, 1.0])
-    if bend <= 0:
-        return misfit, None
-    stiffness, dissipated = centre - slope / (2 * bend), (level - slope**2 / (4 * bend)) / bend
-    if stiffness <= 0 or dissipated <= 0:  # the tip is not resolved
-        return misfit, None
-    return misfit, NormalisedDevice([stiffness], [np.sqrt(dissipated / stiffness)], 1 / np.sqrt(bend))
 
 
 def _responses(device, omega: np.ndarray, axes: int) -> np.ndarray:

@@ -49,6 +49,19 @@ def swept(folder, delay, phase=0.0, leak=0.0):
     return mg.load_case(folder)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("delay", "leak"), [(4e-3, 0.0), (4e-3, 3000.0 - 2000.0j), (-2.5e-3, 3000.0)])
+def test_many_periods_late_and_a_leak_are_the_instrument(tmp_path, delay, leak):
+    """Turned by 15 rad over the band, as behind 50 ns of cable at 7.9 GHz: it was an unknown effect."""
+    found = mg.diagnose(None, swept(tmp_path, delay, 0.4, leak))
+    assert (found.verdict, found.accepted) == ("instrument_only", ())
+    told = {term.label: term for term in found.instrument}
+    late = told["late_readings"]
+    assert abs(late.estimate[0] - delay) < 4 * late.std[0] < 0.02 * abs(delay)
+    quality = next(mode for mode in found.final.modes if mode.name == "quality factor")
+    assert abs(quality.value - Q) < 4 * quality.std < 0.05 * Q
+
+
 @pytest.mark.parametrize(
     ("delay", "phase", "leak", "kept"),
     [
