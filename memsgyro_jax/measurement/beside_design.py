@@ -8,6 +8,7 @@ from .case import Case
 from .case_of_records import SPREADS
 from .declared import QUANTITIES
 from .experiments.base import Phasors
+from .further_peaks import said_of_peaks
 from .linear_start import starting_device
 from .one_place import in_one_place
 from .phasor_fit import device_of_phasors
@@ -62,6 +63,7 @@ def beside_design(case: Case) -> tuple[str, ...]:
         text = f"{key}: the records show {seen}, {beside}"
         agrees = _scale_that_agrees(case, value / design.value) if key == "static_gain" and outside else ""
         said.append(text + (f", which lies outside its tolerance{agrees}." if outside else "."))
+    said += said_of_peaks(rows, omega, float(device.damping[0]), case)
     return (*said, *_phases(_weakest(case, True), QUANTITIES[case.readout.order], omega, float(device.damping[0])))
 
 
