@@ -131,7 +131,9 @@ class WaveformRecord(ClockedRecord):
 
     @property
     def offset(self) -> np.ndarray | None:
-        return self.signals[self.rows // 2 :].mean(axis=0)
+        late = self.signals[self.rows // 2 :]  # where what a large motion rectifies has decayed most
+        # A plain mean holds a part of the vibration, of which there are no whole number of periods.
+        return np.average(late, axis=0, weights=np.hanning(len(late) + 2)[1:-1])
 
     def columns(self, declared: Declared) -> dict[str, np.ndarray]:
         signals = signal_columns(self.signals, declared, self.channels)
