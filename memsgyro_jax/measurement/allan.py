@@ -14,6 +14,7 @@ from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
+from .log_doubts import doubts_of
 from .log_temperature import beside_temperature
 from .noise_likelihood import low_passed
 from .rate_log import RateLog, read_rate_log
@@ -50,12 +51,13 @@ def allan(
         band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
 
     Of a record that the five noises do not describe no term is told, nor the bias instability; `notes` say so, and
-    where the rate goes with a temperature that the file has as well.
+    where the rate goes with a temperature that the file has as well, comes in steps as coarse as its noise, or jumps.
 
     Raises:
         InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
     """
     log = _after(_read(source, sample_rate, column), quantity("start", start, "s"))
+    log = log._replace(notes=(*log.notes, *doubts_of(log)))
     return beside_temperature(analysed(log, band), log, lambda rest: analysed(rest, band))
 
 

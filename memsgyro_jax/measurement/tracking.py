@@ -192,9 +192,7 @@ def too_slow(time: np.ndarray, signal: np.ndarray) -> float:
     return 4.0 / (period * count) if np.sum(power[1:4]) > np.sum(power[5:]) else 0.0
 
 
-def _loudest(
-    time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float
-) -> float:
+def _loudest(time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float) -> float:
     """The strongest line of the first rows of a record, of so many that a waveform has `CYCLES` cycles in them."""
     rows = max(64, len(values) // 8)
     while True:
