@@ -31,9 +31,9 @@ def _doubts(name: str, rate: np.ndarray, period: float) -> list[str]:
         )
     if knocks.size and usual > 0.0:
         said.append(
-            f"{knocks.size} of {moves.size} steps of `{name}` from row to row are more than {_KNOCK:g} times as large as "
-            f"is usual, the first at {(knocks[0] + 1) * period:.3g} s: it jumps, as by knocks, turns or lost bits, which "
-            "count as noise here."
+            f"{knocks.size} of {moves.size} steps of `{name}` from row to row are more than {_KNOCK:g} times as large "
+            f"as is usual, the first at {(knocks[0] + 1) * period:.3g} s: it jumps, as by knocks, turns or lost bits, "
+            "which count as noise here."
         )
     return said
 

@@ -132,8 +132,8 @@ def tracked(
 
 
 def _width(omega: float, period: float, phasors: bool, rows: int) -> int:
-    """Rows of a window: `CYCLES` of the vibration, and of a waveform as many of its beat with the sampling; an eighth of
-    the record at most, but `FEWEST` cycles of a waveform, which over less than one is no other than a constant.
+    """Rows of a window: `CYCLES` of the vibration, and of a waveform as many of its beat with the sampling; an eighth
+    of the record at most, but `FEWEST` cycles of a waveform, which over less than one is no other than a constant.
     """
     beat = 2 * np.pi / period - 2.0 * omega
     slow = omega if phasors or beat > omega else max(beat, 0.0)
