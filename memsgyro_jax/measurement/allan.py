@@ -10,6 +10,7 @@ from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
@@ -81,8 +82,15 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
         )
     factors = _factors(samples, period, octaves)
     measured = allan_deviation(log.rate, factors)
-    if not np.all(measured[:, np.isin(factors, octaves)] > 0.0):
-        raise InputError("The rates must vary at every averaging time, but some do not; is the log of coarse numbers?")
+    still = [
+        name for name, row in zip(log.names, measured[:, np.isin(factors, octaves)], strict=True) if np.any(row <= 0.0)
+    ]
+    if still:
+        others = "" if len(still) == len(log.names) else "; take another by `--column` (`column`)"
+        raise InputError(
+            f"The rates must vary at every averaging time, but those of {listed(still, '`')} do not; is the log of "
+            f"coarse numbers?{others}"
+        )
     begun = octaves[0]
     octaves, found = _fit(measured, factors, octaves, samples, low_pass, band is not None)
     freedom = np.exp([np.interp(np.log(factors), np.log(octaves), row) for row in np.log(found.freedom)])

@@ -81,3 +81,11 @@ def test_stamps_that_jitter_come_with_the_rate_to_say(tmp_path):
     with pytest.raises(InputError, match=r"`--rate 100`"):
         mg.allan(path)
     assert mg.allan(path, sample_rate=100.0).period == pytest.approx(0.01)
+
+
+def test_the_rate_that_stands_still_is_named(tmp_path):
+    rows = [(f"{0.01 * k:.2f}", f"{one:.3f}", 0.01) for k, one in enumerate(rates())]
+    path = written(tmp_path / "log.csv", ["t [s],x [deg/s],z [deg/s]"], rows)
+    with pytest.raises(InputError, match=r"those of `z` do not.*`--column`"):
+        mg.allan(path)
+    assert mg.allan(path, column="x").series == ("x",)
