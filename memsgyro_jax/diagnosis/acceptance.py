@@ -109,8 +109,11 @@ def too_late(joint: Joint, place: int, after: Optimum, case: Case) -> str:
     beside angles of the reference, which take back what it turns, such a delay grows without bound. A delay of a
     pipeline over several periods is one that explains the records.
     """
-    driven = all(record.stepped and np.iscomplexobj(record.readings) for record in case.records)
-    if not driven or not isinstance(joint.model.effects[place], ReadoutDelay):
+    if not isinstance(joint.model.effects[place], ReadoutDelay):
+        return ""
+    if not any(record.driven for record in case.records):
+        return "a record that nothing drives begins somewhere else instead, which is solved for"
+    if not all(record.stepped and np.iscomplexobj(record.readings) for record in case.records):
         return ""
     slowest = float(np.sqrt(np.linalg.eigvalsh(joint.at(after.vector).device.stiffness_matrix)[0]))
     periods = float(after.vector[joint.of_effect(place)][0]) * slowest / (2.0 * np.pi)

@@ -57,7 +57,7 @@ def told_of(fit: Any) -> tuple[str, ...]:
     every, whose = (*fit.modes, *fit.estimates), whose_forces(fit)
     beside = (f"  ({whose})",) if whose else ()
     if not fit.optimum.converged:
-        bare = (e if np.isinf(e.std) else replace(e, std=np.nan) for e in every)
+        bare = (replace(e, std=e.std if np.isinf(e.std) else np.nan, above=None) for e in every)
         return (*(f"  {e}" for e in bare), *beside, f"  ({UNENDED})")
     if not fit.leaves_noise:
         return (*(f"  {e.roughly}" for e in every), *beside, f"  ({WITHOUT})")

@@ -1,7 +1,7 @@
 """What a fit leaves of each record, and the parameters it found."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -117,7 +117,9 @@ class ParameterEstimate:
 
     @property
     def roughly(self) -> str:
-        """The same with the digits that hold where a model leaves more than the noise, which no ± says."""
+        """The same with the digits that hold where a model leaves more than the noise, which no ± and no bound says."""
+        if self.above is not None:
+            return str(replace(self, above=None))
         if self.stopped or not np.isfinite(self.std):
             return str(self)
         return f"{self.name:<24} {said_in(about(self.value, self.std), self.unit)}"

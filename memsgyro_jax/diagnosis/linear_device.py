@@ -47,7 +47,7 @@ class LinearDevice:
         """A line for each mode that the records hold, and one for what couples the axes."""
         out = []
         for m in self.modes:
-            if m.above is not None:
+            if m.above is not None and self.held:
                 out.append(f"{m.name}: {m.at_least}")
             if not np.isfinite(m.std):
                 continue

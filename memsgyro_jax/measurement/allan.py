@@ -10,10 +10,12 @@ from scipy import stats
 
 from memsgyro_jax.base.arguments import quantity
 from memsgyro_jax.base.errors import InputError
+from memsgyro_jax.base.text import listed
 from memsgyro_jax.loop.trace_result import Trace
 
 from .allan_result import MEANING, Allan, NoiseTerm
 from .allan_variance import TERMS, allan_deviation, shapes
+from .log_doubts import doubts_of
 from .log_temperature import beside_temperature
 from .noise_likelihood import low_passed
 from .rate_log import RateLog, read_rate_log
@@ -50,12 +52,13 @@ def allan(
         band: shortest and longest averaging time of the fit [s]; without it all octaves up to a third of the record.
 
     Of a record that the five noises do not describe no term is told, nor the bias instability; `notes` say so, and
-    where the rate goes with a temperature that the file has as well.
+    where the rate goes with a temperature that the file has as well, comes in steps as coarse as its noise, or jumps.
 
     Raises:
         InputError: for rates that are not finite, do not vary or are too few, and for what `read_rate_log` refuses.
     """
     log = _after(_read(source, sample_rate, column), quantity("start", start, "s"))
+    log = log._replace(notes=(*log.notes, *doubts_of(log)))
     return beside_temperature(analysed(log, band), log, lambda rest: analysed(rest, band))
 
 
@@ -79,8 +82,15 @@ def analysed(log: RateLog, band: tuple[float, float] | None = None, low_pass: bo
         )
     factors = _factors(samples, period, octaves)
     measured = allan_deviation(log.rate, factors)
-    if not np.all(measured[:, np.isin(factors, octaves)] > 0.0):
-        raise InputError("The rates must vary at every averaging time, but some do not; is the log of coarse numbers?")
+    still = [
+        name for name, row in zip(log.names, measured[:, np.isin(factors, octaves)], strict=True) if np.any(row <= 0.0)
+    ]
+    if still:
+        others = "" if len(still) == len(log.names) else "; take another by `--column` (`column`)"
+        raise InputError(
+            f"The rates must vary at every averaging time, but those of {listed(still, '`')} do not; is the log of "
+            f"coarse numbers?{others}"
+        )
     begun = octaves[0]
     octaves, found = _fit(measured, factors, octaves, samples, low_pass, band is not None)
     freedom = np.exp([np.interp(np.log(factors), np.log(octaves), row) for row in np.log(found.freedom)])

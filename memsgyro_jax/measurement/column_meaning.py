@@ -285,9 +285,22 @@ def _whole(table: SourceTable, columns: dict[str, SourceColumn], unused: tuple[s
         return meaning
     if not meaning.swept and "t" not in columns:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is a frequency that runs, or time")
-    if not meaning.swept and not (pair or {"amp", "phase"} <= {*columns} or "signal" in columns):
+    told = pair or {"amp", "phase"} <= {*columns} or "signal" in columns
+    offered = [columns["signal"]] if "signal" in columns else [] if told else table.columns
+    if not meaning.swept and (level := next((c for c in offered if _is_level(c.unit)), None)):
+        raise InputError(
+            f"{printable(str(table.path))}: a record over time must be a waveform, or the two parts of a lock-in's "
+            f"phasors, but `{level.header}` is an amplitude in decibels; save one of these."
+        )
+    if not meaning.swept and not told:
         raise _unclear(table, {k: [v] for k, v in columns.items()}, "no column is the signal over time")
     return meaning
+
+
+def _is_level(unit: str) -> bool:
+    """Whether it is one of decibels."""
+    found = SPECIAL.fullmatch(unit)
+    return found is not None and found["decibel"] is not None
 
 
 def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], what: str) -> InputError:
@@ -303,7 +316,7 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
         roles += tuple(f"y_{role}" for role in roles[1:])
     words = {"I": "x_I", "Q": "x_Q", "amp": "x_amp", "phase": "x_phase", "signal": "x", "y_signal": "y"}
     rest = [c for c in table.columns if c.values.dtype.kind in "iuf" and np.nanmin(c.values) < np.nanmax(c.values)]
-    pairs = []
+    pairs, timeless = [], False
     for role in roles:
         part = role.removeprefix("y_")
         meant = [*found.get(role, []), *found.get(part, [])]
@@ -311,6 +324,7 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
         alike = [c for c in rest if role_of(c) in ("", "signal", part)]
         candidates = candidates or [c for c in alike if role != "t" or np.all(np.diff(c.values) > 0)]
         if role == "t" and not candidates:
+            timeless = True
             pairs.append("t=time [s]")
         elif candidates or part != "phase":
             pairs.append(f"{words.get(role, role)}={candidates[0].header if candidates else 'COLUMN'}")
@@ -320,7 +334,7 @@ def _unclear(table: SourceTable, found: Mapping[str, Sequence[SourceColumn]], wh
     names = listed([column.header for column in table.columns], "`")
     where = f"{printable(str(table.path))}{', ' + table.name if table.name else ''}"
     second = " (`y=` for that of a second axis)" if roles == ("t", "signal") and "signal" in found else ""
-    clock = ' with --sample-rate "50 kHz", or whatever it was, as no column is a time' * (pairs[0] == "t=time [s]")
+    clock = ' with --sample-rate "50 kHz", or whatever it was, as no column is a time' * timeless
     return InputError(
         f'{where}: {what}; the columns are {names}; say which is which, as in --map "{",".join(pairs)}"{second}{clock}.'
     )

@@ -13,14 +13,15 @@ from memsgyro_jax.base.concrete import check_positive
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.table import Table
 from memsgyro_jax.base.text import listed
-from memsgyro_jax.base.units import parse_header
+from memsgyro_jax.base.units import parse_header, to_si
 
 from .clock import check_period
 from .log_table import log_table
 from .lost_rows import bridged
 
 
-_RATE = re.compile(r"gyr|rate|omega|ω|ang", re.I)
+_RATE = re.compile(r"gyr|rate|omega|ω|ang|^[gw][_ ]?(rs_s_)?[xyz]$", re.I)
+_LIKELY = 0.5, 1e4  # Hz of a log
 _MISMATCH = 0.01  # relative, between times and a given sample rate
 
 
@@ -60,7 +61,7 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     if not rates or (column is not None and column not in rates):
         raise InputError(
             f'{table.path}: a rate log must have a column such as "{column or "rate"} [deg/s]", but has '
-            f"{listed((f'{name} [{unit}]' for name, unit in table.units.items()), '`')}{_unit_to_say(table, column)}."
+            f"{listed((_headed(*one) for one in table.units.items()), '`')}{_unit_to_say(table, column)}."
         )
     chosen = rates if column is None else [column]
     if len(times) > 1:
@@ -68,7 +69,7 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     if not times and sample_rate is None:
         raise InputError(
             f'{table.path}: a rate log must have a column of times such as "t [s]", but has none; add it, or give the '
-            "sample rate (`sample_rate`, `--rate`)."
+            f"sample rate (`sample_rate`, `--rate`){_rate_to_say(table, chosen)}."
         )
     period = None if sample_rate is None else _period(sample_rate)
     clock = (
@@ -109,10 +110,32 @@ def _named(table: Table, column: str | None) -> tuple[Table, str | None]:
     return dataclasses.replace(table, units={**table.units, name: unit}), name
 
 
+def _headed(name: str, unit: str) -> str:
+    return name if unit == "1" else f"{name} [{unit}]"
+
+
 def _unit_to_say(table: Table, column: str | None) -> str:
-    """What to do where the rates have no unit in the file; empty where no column seems to be one."""
-    bare = [name for name, unit in table.units.items() if unit == "1" and column in (None, name) and _RATE.search(name)]
-    return f'; if one of these is a rate, say its unit: `--column "{bare[0]} [deg/s]"` (`column`)' if bare else ""
+    """What to do where the rates have no unit in the file; empty where every column has one."""
+    bare = [name for name, unit in table.units.items() if unit == "1" and column in (None, name)]
+    if not bare:
+        return ""
+    named = [name for name in bare if _RATE.search(name)]
+    return f'; if one of these is a rate, say its unit: `--column "{[*named, bare[-1]][0]} [deg/s]"` (`column`)'
+
+
+def _rate_to_say(table: Table, rates: list[str]) -> str:
+    """What the sample rate would be if a column without a unit that rises from row to row were times; empty where none
+    does.
+    """
+    for name, unit in table.units.items():
+        steps = np.diff(table.columns[name])
+        if name in rates or unit != "1" or not np.all(steps > 0):
+            continue
+        told = {u: 1.0 / float(to_si(float(np.mean(steps)), u, "s", name)) for u in ("s", "ms", "us", "ns")}
+        likely = [f"`--rate {hz:.6g}` if it is in {u}" for u, hz in told.items() if _LIKELY[0] <= hz <= _LIKELY[1]]
+        if likely:
+            return f"; `{name}` has no unit: {', '.join(likely)}"
+    return ""
 
 
 def _measures(table: Table, name: str, unit: str) -> bool:
@@ -149,7 +172,8 @@ def _clocked(clock: Table | None, period: float | None) -> float:
             check_period(clock, None)
         except InputError as error:
             raise InputError(
-                f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate`, jitter is passed over)."
+                f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate {1.0 / own:.6g}`, jitter is "
+                "passed over)."
             ) from error
         return own
     _require_near(clock, own, period)

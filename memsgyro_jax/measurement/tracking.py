@@ -15,6 +15,7 @@ from .standing_line import without_steady_lines
 
 
 CYCLES = 6  # of the vibration in a window at least
+FEWEST = 2  # the same of a record that holds few of them
 ROWS = 12  # in a window at least
 ROUNDS = 8  # of moving the frequency
 UNTOLD = 5e8  # the quality factor of what does not fall: none that a record tells
@@ -108,7 +109,7 @@ def tracked(
     """
     period = usual_period(time)
     phasors = np.iscomplexobj(values)
-    omega = _strongest(time, values, period, band, reference, max(64, len(values) // 8))
+    omega = _loudest(time, values, period, band, reference)
     width = rows or _width(omega, period, phasors, len(time))
     width = min(width, len(time))
     band = band if phasors else _apart(band, period, width)
@@ -131,10 +132,14 @@ def tracked(
 
 
 def _width(omega: float, period: float, phasors: bool, rows: int) -> int:
-    """Rows of a window: `CYCLES` of the vibration, and of a waveform as many of its beat with the sampling."""
+    """Rows of a window: `CYCLES` of the vibration, and of a waveform as many of its beat with the sampling; an eighth
+    of the record at most, but `FEWEST` cycles of a waveform, which over less than one is no other than a constant.
+    """
     beat = 2 * np.pi / period - 2.0 * omega
     slow = omega if phasors or beat > omega else max(beat, 0.0)
-    return max(ROWS, int(np.ceil(min(CYCLES * 2 * np.pi / max(slow * period, 1e-300), max(rows // 8, 1)))))
+    cycle = 2 * np.pi / max(slow * period, 1e-300)
+    least = max(rows // 8, 1) if phasors else max(rows // 8, min(FEWEST * cycle, rows // 2))
+    return max(ROWS, int(np.ceil(min(CYCLES * cycle, least))))
 
 
 def _apart(band: tuple[float, float], period: float, width: int) -> tuple[float, float]:
@@ -185,6 +190,16 @@ def too_slow(time: np.ndarray, signal: np.ndarray) -> float:
     even = (even - np.polyval(np.polyfit(place, even, 1), place)) * np.hanning(count)
     power = np.abs(np.fft.rfft(even)) ** 2
     return 4.0 / (period * count) if np.sum(power[1:4]) > np.sum(power[5:]) else 0.0
+
+
+def _loudest(time: np.ndarray, values: np.ndarray, period: float, band: tuple[float, float], reference: float) -> float:
+    """The strongest line of the first rows of a record, of so many that a waveform has `CYCLES` cycles in them."""
+    rows = max(64, len(values) // 8)
+    while True:
+        omega = _strongest(time, values, period, band, reference, rows)
+        if rows >= len(values) or np.iscomplexobj(values) or omega * period * rows > CYCLES * 2 * np.pi:
+            return omega
+        rows *= 2
 
 
 def _strongest(

@@ -78,6 +78,7 @@ def test_a_damping_that_is_not_told_bounds_the_quality_factor():
     assert np.isinf(quality.std)
     assert quality.above == pytest.approx(1.0 / (1e-5 + 1.645 * 2e-5), rel=1e-3)
     assert str(quality) == "quality factor           above 2.3e+04 (95 %), as its damping is not told from none"
+    assert quality.roughly == "quality factor           not determined by these records"  # by a model that leaves more
     known = mode_estimates(optimum([w**2, 1e-5 * w, 1.0, 0.0], [1e-9 * w**2, 3e-6 * w]), 1)[1]
     assert known.above is None
     assert known.std == pytest.approx(0.3 * known.value, rel=1e-3)

@@ -45,7 +45,7 @@ def test_a_delay_of_periods_that_explains_little_is_a_phase(seconds, left, stepp
     """Angles of the reference by record, which took it back, stood beside 2.8 periods of a perfect instrument. One that
     leaves noise alone may be a converter's pipeline; one over time is seen directly.
     """
-    record = SimpleNamespace(stepped=stepped, readings=np.zeros(3, complex))
+    record = SimpleNamespace(stepped=stepped, readings=np.zeros(3, complex), driven=True)
     joint = SimpleNamespace(
         model=SimpleNamespace(effects=(by_name("readout_delay"),)),
         at=lambda vector: SimpleNamespace(device=SimpleNamespace(stiffness_matrix=(2 * np.pi * 20e3) ** 2 * np.eye(1))),
@@ -54,6 +54,15 @@ def test_a_delay_of_periods_that_explains_little_is_a_phase(seconds, left, stepp
     after = SimpleNamespace(vector=np.array([seconds]), chi2=900 * left, dof=900)
     said = too_late(joint, 0, after, SimpleNamespace(records=(record,)))
     assert said.startswith("it would be 2.8 periods of the resonance") if refused else said == ""
+
+
+def test_a_delay_of_what_nobody_drives_is_another_beginning():
+    """Beside a bent pick-off 1.5 µs of it were "found" in a ring-down on an oscilloscope, whose start is unknown."""
+    joint = SimpleNamespace(model=SimpleNamespace(effects=(by_name("readout_delay"), by_name("cubic_stiffness x"))))
+    decay, sweep = (SimpleNamespace(stepped=False, readings=np.zeros(3), driven=driven) for driven in (False, True))
+    said = [too_late(joint, place, None, SimpleNamespace(records=(decay,))) for place in (0, 1)]
+    assert said == ["a record that nothing drives begins somewhere else instead, which is solved for", ""]
+    assert too_late(joint, 0, None, SimpleNamespace(records=(decay, sweep))) == ""
 
 
 def test_the_lowest_drive_is_named_where_drives_differ(demo):

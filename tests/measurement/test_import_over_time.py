@@ -274,3 +274,15 @@ def test_a_decay_of_fewer_than_four_periods_is_told(hertz, told, tmp_path):
     np.savetxt(tmp_path / "a.csv", np.column_stack([time, volts]), delimiter=",", header="t [s],x [V]", comments="")
     text = str(mg.import_case([tmp_path / "a.csv"], tmp_path / "case"))
     assert ("most of what vibrates is below" in text) == told, text
+
+
+def test_an_envelope_in_decibels_is_no_waveform(tmp_path):
+    """Of a spectrum analyser in zero span: the map to copy took it for a waveform of 3 Hz, as "no column is a time"."""
+    time = 0.012 * np.arange(300)
+    rows = [f"{t:.3f}, {-46.0 - 1.5 * t + 0.2 * np.sin(40.0 * t):.6f}" for t in time]
+    (tmp_path / "ring.txt").write_text("\n".join(["% time [s], power [dBm]", *rows]) + "\n")
+    for given in ("", "t=time [s],x=power [dBm]", "t=time [s],x_amp=power [dBm]"):
+        with pytest.raises(InputError, match=r"`power \[dBm\]` is an amplitude in decibels") as refused:
+            mg.import_case([tmp_path / "ring.txt"], tmp_path / "case", columns=given)
+        assert "no column is a time" not in str(refused.value)
+        assert "--map" not in str(refused.value)

@@ -22,7 +22,9 @@ _SAMPLE = 2000  # lines by which the dialect is told
 _COMMENT = re.compile(r"^\s*(?:#|%|//|!|\*)+\s?")
 _PAIR = re.compile(r"^\s*([^:=,;\t]{1,60}?)\s*[:=,;\t]\s*(\S.*?)[\s,;]*$")
 _UNIT_FIRST = re.compile(r"^\[\s*([^\[\]]+?)\s*\]\s*(\w*)$")  # a line of units with a part of the name behind each
-_MOMENT = re.compile(r"(?:(?P<day>\d{4}-\d\d-\d\d)[T ])?(?P<clock>\d{1,2}:\d\d:\d\d)(?P<part>[.,]\d+)?Z?")
+_MOMENT = re.compile(
+    r"(?:(?P<day>\d{4}-\d\d-\d\d|\d+[/.]\d+[/.]\d+)(?:T| +))?(?P<clock>\d{1,2}:\d\d:\d\d)(?P<part>[.,]\d+)?Z?"
+)
 _NUMBERED = re.compile(r"X,.+,Start,Increment,?", re.I)
 _POINT = re.compile(NUMBER)
 _COMMA = re.compile(NUMBER.replace(r"\.", ","))
@@ -153,7 +155,7 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
     if not data:
         raise InputError(f"{printable(str(path))}: must hold rows of numbers, but holds none.")
     dialect, mask = _dialect(path, [lines[n] for n in data[:_SAMPLE]])
-    begin = next(k for k, n in enumerate(data) if dialect.mask(dialect.fields(lines[n])) == mask)
+    begin = _first_row([lines[n] for n in data], dialect, mask)
     above, header = _above(bare[first : data[begin]], dialect, len(mask))
     repeated = {lines[n].strip() for n in range(first, data[begin])}
     rows, read = [], []
@@ -188,6 +190,19 @@ def table_of_lines(path: Path, lines: list[str], assumed: list[str], first: int 
     return SourceTable(path, "", tuple(_timed(in_seconds(columns, above))), above, tuple(said))
 
 
+def _first_row(lines: list[str], dialect: Dialect, mask: tuple[bool, ...]) -> int:
+    """The line at which the table begins: the first that reads like its rows, but not one alone above new names of the
+    columns, as the steps of waveforms are.
+    """
+    like = [k for k, line in enumerate(lines[:_SAMPLE]) if dialect.mask(dialect.fields(line)) == mask]
+    first = like[0]
+    if first + 1 in like or len(like) < 2:
+        return first
+    below = dialect.fields(lines[first + 1])
+    named = len(below) == len(mask) and not any(dialect.mask(below)) and lines[first + 1] not in lines[:first]
+    return first + 2 if named and first + 2 in like else first
+
+
 def _timed(columns: list[SourceColumn]) -> list[SourceColumn]:
     """Columns with the moments of a calendar or a clock as seconds since the first, where no other counts time."""
     units = ("s", "ms", "us", "µs", "min", "ticks")
@@ -197,11 +212,15 @@ def _timed(columns: list[SourceColumn]) -> list[SourceColumn]:
 
 
 def _seconds(words: np.ndarray) -> np.ndarray | None:
-    """Seconds since the first of moments; `None` for other words."""
+    """Seconds since the first of moments; `None` for other words, and for several days of which nobody knows whether
+    the month stands first.
+    """
     found = [_MOMENT.fullmatch(word) for word in words.tolist()] if words.dtype.kind == "U" else [None]
     if not all(found):
         return None
     days = [one["day"] or "1970-01-01" for one in found if one]
+    if "-" not in days[0]:
+        days = ["1970-01-01"] * len(days) if len({*days}) == 1 else days
     clock = [one["clock"].rjust(8, "0") + (one["part"] or "").replace(",", ".") for one in found if one]
     try:
         moments = np.array([f"{day}T{time}" for day, time in zip(days, clock, strict=True)], "datetime64[ns]")

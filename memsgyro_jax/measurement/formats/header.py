@@ -9,6 +9,7 @@ from memsgyro_jax.base.units import to_si
 _BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))\s*$")
 _BEHIND = re.compile(r"^(.*?)\s*(?:[/,:_]|\s)\s*([^\s/,:_]+(?:/√?[^\s/,:_]+)?)$")
 _PER_SECOND = re.compile(r"^(.+?)[_ ]([pnuµm]?m|deg|rad)_s(2?)$")  # names without room for a slash: vel_mm_s
+_OVER_C = re.compile(r"[VvUuIiQq][_ ]C")  # voltage, current or charge of a capacitor
 _BARE = {
     "Hz", "kHz", "MHz", "GHz", "s", "ms", "us", "µs", "ns", "V", "mV", "uV", "µV", "nV", "A", "mA", "uA", "µA", "nA",
     "Vrms", "mVrms", "Vpp", "Vpk", "dB", "dBV", "dBm", "deg", "°", "rad", "degC", "°C", "K", "mK", "N", "mN", "nN",
@@ -40,7 +41,8 @@ def split_header(text: str) -> tuple[str, str]:
             return found[1] or unit, unit
     if found := _PER_SECOND.match(text):
         return found[1], f"{found[2]}/s" + ("^2" if found[3] else "")
-    if (found := _BEHIND.match(text)) and found[1] and (found[2] in _BARE or found[2] in ("C", "sec", "%")):
+    celsius = ("C",) if not _OVER_C.fullmatch(text) else ()
+    if (found := _BEHIND.match(text)) and found[1] and (found[2] in _BARE or found[2] in ("sec", "%", *celsius)):
         return found[1].rstrip("_ "), tidy_unit(found[2])
     return text, ""
 

@@ -65,10 +65,27 @@ def assert_is_the_sweep(record, unit="V", close=2e-8):
         ("rate_dps", ("rate", "dps")),
         ("gyro [mdps]", ("gyro", "mdps")),
         ("Winkel_Grad", ("Winkel", "Grad")),
+        ("T_C", ("T", "degC")),
+        ("oven_C", ("oven", "degC")),
+        ("V_C", ("V_C", "")),  # over a capacitor
     ],
 )
 def test_a_header_without_a_slash_may_name_its_unit(text, found):
     assert split_header(text) == found
+
+
+def test_waveforms_below_a_row_of_their_steps_begin_behind_their_names(tmp_path):
+    """As LabVIEW writes waveforms as text, with a date of the day for each row: the row of steps was taken for the
+    first of the table, and the names below it for words where numbers should be.
+    """
+    days = [f"5/7/2021  09:59:46.{round(828120 + 3.3 * k):06d}" for k in range(200)]
+    rows = [f"{day},{np.cos(0.3 * k):.6E},{np.sin(0.3 * k):.6E}" for k, day in enumerate(days)]
+    head = ["waveform,V_S,V_C", f"t0,{days[0]},{days[0]}", "delta t,3.300000E-6,3.300000E-6", "", "time,V_S,V_C"]
+    (tmp_path / "pulse.csv").write_text("\n".join([*head, *rows]) + "\n")
+    _, (table,) = read_instrument_file(tmp_path / "pulse.csv")
+    assert [(c.name, c.unit) for c in table.columns] == [("time", "s"), ("V_S", ""), ("V_C", "")]
+    np.testing.assert_allclose(table.columns[0].values, 3.3e-6 * np.arange(200), atol=1.1e-6)
+    np.testing.assert_allclose(table.columns[2].values, np.sin(0.3 * np.arange(200)), atol=1e-6)
 
 
 def complaint(path):
