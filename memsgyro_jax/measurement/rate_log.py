@@ -23,6 +23,7 @@ from .lost_rows import bridged
 _RATE = re.compile(r"gyr|rate|omega|ω|ang|^[gw][_ ]?(rs_s_)?[xyz]$", re.I)
 _LIKELY = 0.5, 1e4  # Hz of a log
 _MISMATCH = 0.01  # relative, between times and a given sample rate
+_JITTER = 0.25  # of a period, by which stamps may lie off an even clock: a board's that reads as it can
 
 
 class RateLog(NamedTuple):
@@ -48,12 +49,13 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
 
     Every column of a rate is a series, or `column` alone; others are left out. A unit behind its name, as in
     "Gyr_X [rad/s]", is that of a file which names none. The clock is the column of times, or
-    `sample_rate` [Hz], which also takes times as they jitter for those of even sampling. Up to a tenth of the rows may
+    `sample_rate` [Hz], which also takes times as they jitter for those of even sampling; those that lie within a
+    quarter of a period of one clock are anyway, and a note says so. Up to a tenth of the rows may
     be lost on an even clock: rows from beside, mirrored, stand in their place, and a note says so.
 
     Raises:
         InputError: with file, line and column for what `log_table` refuses, no or an unknown column of a rate, neither
-            times nor `sample_rate` or both in contradiction, more lost rows than that, and times that jitter.
+            times nor `sample_rate` or both in contradiction, more lost rows than that, and times that jitter more.
     """
     table, column = _named(log_table(path), column)
     rates = [name for name in table.columns if _measures(table, name, "rad/s")]
@@ -87,14 +89,11 @@ def read_rate_log(path: str | Path, sample_rate: float | str | None = None, colu
     whole = None if clock is None else bridged(clock, rate)
     if whole is not None and period is not None:
         _require_near(table, whole.period, period)
-    rate = rate if whole is None else whole.rate
-    return RateLog(
-        tuple(chosen),
-        rate[: len(chosen)],
-        _clocked(clock, period) if whole is None else whole.period,
-        tuple(notes) if whole is None else (*notes, whole.note),
-        rate[-1] if beside else None,
-    )
+    if whole is None:
+        own, more = _clocked(clock, period)
+    else:
+        rate, own, more = whole.rate, whole.period, (whole.note,)
+    return RateLog(tuple(chosen), rate[: len(chosen)], own, (*notes, *more), rate[-1] if beside else None)
 
 
 def _named(table: Table, column: str | None) -> tuple[Table, str | None]:
@@ -160,22 +159,26 @@ def _require_near(clock: Table, own: float, period: float) -> None:
         )
 
 
-def _clocked(clock: Table | None, period: float | None) -> float:
-    """The period [s] that times, a given one, or both say."""
+def _clocked(clock: Table | None, period: float | None) -> tuple[float, tuple[str, ...]]:
+    """The period [s] that times, a given one, or both say, and a sentence where times jitter about it."""
     if clock is None:
         assert period is not None
-        return period
+        return period, ()
     times = clock.si("t", "s")
     own = float(times[-1] - times[0]) / (len(times) - 1)
     if period is None:
         try:
             check_period(clock, None)
         except InputError as error:
+            off, even = _scatter(times)
+            if off <= _JITTER * even:
+                said = f"The times jitter by up to {off:.2g} s about an even clock of {1.0 / even:.6g} Hz, by which the"
+                return even, (f"{said} rows are taken to be sampled.",)
             raise InputError(
                 f"{str(error).rstrip('.')} (with a sample rate, `sample_rate` or `--rate {1.0 / own:.6g}`, jitter is "
                 "passed over)."
             ) from error
-        return own
+        return own, ()
     _require_near(clock, own, period)
     wrong = np.flatnonzero(np.abs(np.diff(times) - period) > 0.5 * period)
     if wrong.size:
@@ -184,4 +187,11 @@ def _clocked(clock: Table | None, period: float | None) -> float:
             f"{clock.path}, line {clock.lines[row]}: at the given sample rate the times must rise by {period:.6g} "
             f"s a row, but here by {times[row] - times[row - 1]:.6g} s; is a row missing?"
         )
-    return period
+    return period, ()
+
+
+def _scatter(times: np.ndarray) -> tuple[float, float]:
+    """How far times (n,) lie off the best line through them at most, and its slope, the period of a row [s]."""
+    rows = np.arange(len(times)) - (len(times) - 1) / 2
+    slope = float(rows @ times / (rows @ rows))
+    return float(np.max(np.abs(times - times.mean() - slope * rows))), slope

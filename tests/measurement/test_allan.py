@@ -352,7 +352,7 @@ def test_a_log_in_degrees_per_hour(tmp_path):
     ("spoil", "words"),
     [
         (lambda t: np.where(np.arange(1200) > 600, t + 0.33, t), "line 603.*is a row missing"),
-        (lambda t: t + 0.004 * np.sin(np.arange(1200.0)), "clock of one period.*--rate"),
+        (lambda t: t + 0.016 * np.sin(np.arange(1200.0)), "clock of one period.*--rate"),
     ],
     ids=["gap", "jitter"],
 )

@@ -73,14 +73,24 @@ def test_a_column_to_copy_stands_in_the_refusal(tmp_path, head, wanted):
     assert "[1]" not in str(refused.value)
 
 
-def test_stamps_that_jitter_come_with_the_rate_to_say(tmp_path):
-    """Of a board that stamps its packets in nanoseconds."""
+@pytest.mark.parametrize("jitter", [2000, 1_500_000])
+def test_stamps_that_jitter_are_those_of_an_even_clock(tmp_path, jitter):
+    """Of a board that stamps its packets in nanoseconds, and of a host that does so as it can: they were refused."""
     rng = np.random.default_rng(1)
-    stamps = 1691674088430198800 + 10_000_000 * np.arange(400) + rng.integers(-2000, 2000, 400)
+    stamps = 1691674088430198800 + 10_000_000 * np.arange(400) + rng.integers(-jitter, jitter, 400)
     path = written(tmp_path / "log.csv", ["timestamp [ns],w [rad/s]"], zip(stamps, rates(), strict=True))
-    with pytest.raises(InputError, match=r"`--rate 100`"):
+    found = mg.allan(path)
+    assert found.period == pytest.approx(0.01, rel=1e-3)
+    (said,) = [note for note in found.notes if "jitter" in note]
+    assert float(re.search(r"up to ([\d.e-]+) s", said)[1]) == pytest.approx(1e-9 * jitter, rel=0.2)
+    np.testing.assert_allclose(found.deviation, mg.allan(path, sample_rate=1.0 / found.period).deviation)
+
+
+def test_stamps_off_any_even_clock_come_with_the_rate_to_say(tmp_path):
+    stamps = 10_000_000 * np.arange(400) + 4_000_000 * (np.arange(400) % 3 == 0)
+    path = written(tmp_path / "log.csv", ["timestamp [ns],w [rad/s]"], zip(stamps, rates(), strict=True))
+    with pytest.raises(InputError, match=r"`--rate 100"):
         mg.allan(path)
-    assert mg.allan(path, sample_rate=100.0).period == pytest.approx(0.01)
 
 
 def test_the_rate_that_stands_still_is_named(tmp_path):
