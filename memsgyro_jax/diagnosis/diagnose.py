@@ -49,7 +49,7 @@ from .result import UNEXPLAINED, Diagnosis, Verdict, validation_error
 from .rounds import search_on
 from .rows_before import behind_filter
 from .search import CONFUSED, Ranking, Search, SearchStep, start_search
-from .sentence import DRIFT, before_all, denied, of_noise, sentence
+from .sentence import DRIFT, before_all, denied, of_noise, sentence, unseen_by_rest
 from .slow_noise import is_slow_noise, slowly
 from .spoiler import without_spoiler
 from .wander import beside_course, of_wander, wanders, with_wander_first
@@ -227,6 +227,7 @@ def _diagnosed(
         final=final,
         verdict=verdict,
         sentence=sentence(verdict, accepted, final, explained, onset)
+        + unseen_by_rest(base, final, verdict)
         + denial
         + apart_in_time
         + of_effort(effort.ended and unexplained)

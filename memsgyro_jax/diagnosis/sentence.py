@@ -55,6 +55,24 @@ def sentence(
     }[verdict] + ("" if verdict in UNEXPLAINED else _excused(final) + _unheld(final))
 
 
+def unseen_by_rest(before: CaseFit, final: CaseFit, verdict: Verdict) -> str:
+    """Of effects that were found, that readings which were not fitted get no better by them; empty where they do, and
+    where nothing was left to judge.
+    """
+    if verdict not in ("found", "cannot_tell"):
+        return ""
+    was, now = ([e for e in fit.errors if e.role == "validation"] for fit in (before, final))
+    count = sum(e.count for e in now)
+    chi2 = [sum(e.chi2 for e in errors) for errors in (was, now)]
+    if not count or chi2[1] < chi2[0]:
+        return ""
+    levels = " and ".join(f"{np.sqrt(left / count):.3g}" for left in chi2[::-1])
+    return (
+        f" What was not fitted does not tell: it is at {levels} times its noise with and without. Another record like "
+        "the fitted ones would."
+    )
+
+
 def _excused(final: CaseFit) -> str:
     """Of an explanation, which records far from it in what was not fitted it stands beside; else empty."""
     off = [e for e in final.errors if e.role == "validation" and e.rms > FAR_OFF and not e.explained]

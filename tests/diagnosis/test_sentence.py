@@ -6,7 +6,7 @@ import pytest
 
 from memsgyro_jax.diagnosis.findings import Accepted
 from memsgyro_jax.diagnosis.fitted import ParameterEstimate, RecordError
-from memsgyro_jax.diagnosis.sentence import denied, sentence
+from memsgyro_jax.diagnosis.sentence import denied, sentence, unseen_by_rest
 
 
 FINAL = SimpleNamespace(errors=[SimpleNamespace(role="fit", count=100, name="a", rms=1.0)], modes=())
@@ -82,3 +82,23 @@ def test_that_nothing_is_missing_says_little_where_nothing_is_held(std, said):
     mode = ParameterEstimate("resonance frequency", 6.02, std, "Hz")
     text = sentence("nothing_missing", (), SimpleNamespace(errors=FINAL.errors, modes=(mode,)), [True])
     assert ("these records hold no resonance (6.02 ± 93 Hz)" in text) == said
+
+
+@pytest.mark.parametrize(
+    ("verdict", "before", "after", "said"),
+    [
+        ("found", 1.086, 1.09, True),
+        ("found", 3.0, 1.0, False),
+        ("nothing_missing", 1.0, 1.1, False),
+        ("found", 0, 0, False),
+    ],
+)
+def test_an_effect_that_only_fitted_rows_show_is_said_to_be_one(verdict, before, after, said):
+    """The later half of a ring-down, too small for a cubic pick-off of 3 sigma, left it "found" without a word."""
+    fits = []
+    for rms in (before, after):
+        rest = [RecordError("decay", "validation", 400, 400 * rms**2)] if rms else []
+        fits.append(SimpleNamespace(errors=[RecordError("decay", "fit", 400, 400.0), *rest]))
+    words = unseen_by_rest(*fits, verdict)
+    assert bool(words) == said
+    assert not said or "at 1.09 and 1.09 times its noise" in words
