@@ -52,6 +52,7 @@ def _diagnosed(hidden, monkeypatch, **options):
     return found, told
 
 
+@pytest.mark.slow  # two whole diagnoses
 def test_what_is_unknown_ends_a_search_that_has_had_its_share_unless_it_is_told_to_go_on(monkeypatch):
     (short, said), (whole, more) = (_diagnosed(STRANGE, monkeypatch, thorough=one) for one in (False, True))
     assert short.verdict == whole.verdict == "unknown_effect"

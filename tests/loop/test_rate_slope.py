@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from sine_response import told_and_seen
@@ -21,7 +22,6 @@ SLOPED = mg.RateSlopeFilter.for_device(
 )
 LOOP = mg.ClosedLoop(GYRO, READOUT, SLOPED, mg.DampingCompensation(tones=mg.Tone(600.0, 53.95)))
 RAMP = mg.Ramp(at=0.0, slope=STEEP)
-UPDATE = jax.jit(lambda *given: SLOPED.update(*given))
 RUN = {"sample_rate": 100e3, "duration": 0.0512, "seed": 3, "decimation": 512}
 
 
@@ -66,15 +66,20 @@ def test_what_it_claims_holds_of_all_that_it_says():
 
 def test_the_slope_is_told():
     """By the filter itself over recorded volts of a ramp."""
-    state, period = SLOPED.init(), 1e-5
-    rng, motion = np.random.default_rng(0), np.array([1e-6, 0.0, 0.0, 0.0])
-    noise = np.asarray([float(one) for one in SLOPED.variance(mg.Clock(1.0, 1, period))]) ** 0.5
-    for sample in range(1, 6001):
+    period, noise = 1e-5, jnp.sqrt(jnp.stack(SLOPED.variance(mg.Clock(1.0, 1, 1e-5))))
+
+    def one(carry, given):
+        (state, motion), (sample, normal) = carry, given
         dynamics = GYRO.dynamics(mg.Scenario(rate=RAMP).at((sample - 0.5) * period).inertial)
         step = SLOPED.discretisation.transition(dynamics.stiffness, dynamics.velocity, period)
-        motion = np.asarray(step.full, float) @ motion
-        volts = np.asarray(READOUT.clean(tuple(motion), (0.0, 0.0)), float) + noise * rng.normal(size=2)
-        state = UPDATE(state, tuple(volts), (0.0, 0.0), mg.Clock(sample * period, sample, period))
+        motion = jnp.asarray(step.full) @ motion
+        volts = jnp.stack(READOUT.clean(tuple(motion), (0.0, 0.0))) + noise * normal
+        clock = mg.Clock(sample * period, sample, period)
+        return (SLOPED.update(state, tuple(volts), (0.0, 0.0), clock), motion), None
+
+    start = jax.tree.map(jnp.asarray, SLOPED.init()), jnp.array([1e-6, 0.0, 0.0, 0.0])
+    given = jnp.arange(1, 6001), np.random.default_rng(0).normal(size=(6000, 2))
+    (state, _), _ = jax.jit(lambda: jax.lax.scan(one, start, given))()
     told = SLOPED.further(state)
     assert abs(float(told.value) - STEEP) < 4.0 * float(told.std) < 0.5 * STEEP
 
