@@ -101,7 +101,8 @@ class Trace(Tabular, eqx.Module):
         observer = self.loop.observer
         if not isinstance(observer, AbstractBlockObserver) or "rate" not in observer.states:
             raise InputError("A filter must estimate the rate to follow it; make one with `ExtendedKalmanFilter`.")
-        if self.loop.blocks is not None:
+        walks = float(observer.walk()[observer.states.index("rate")]) > 0.0 or observer.moves() is not None
+        if self.loop.blocks is not None and walks:
             return by_blocks(self._settled_under, float(self.rate_true[-1]), frequency)
         return by_samples(observer, float(self.rate_std[-1]), 1.0 / self.settings.sample_rate, frequency)
 

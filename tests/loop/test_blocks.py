@@ -76,11 +76,19 @@ def test_slopes_of_a_product_and_of_what_statistics_told():
         for one, other in zip(ones, others, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
-    for rows, inner in (((3, 2), 4), ((2,), 34)):
+    def plain(a, b):
+        return jnp.einsum("...kl,kabl->...abl", a, b)
+
+    for rows, inner in (((3, 2), 4), ((2,), 34), ((18,), 1)):
         factors, pulled = (drawn(*rows, inner, 5), drawn(inner, 3, 2, 5)), drawn(*rows, 3, 2, 5)
         made, turned = jax.vjp(multiplied, *factors)
-        wanted, meant = jax.vjp(lambda a, b: jnp.einsum("...kl,kabl->...abl", a, b), *factors)
+        wanted, meant = jax.vjp(plain, *factors)
         alike((made, *turned(pulled)), (wanted, *meant(pulled)))
+        twice, sought = (
+            jax.vjp(lambda *given, way=way: jax.vjp(way, *given[1:])[1](given[0]), pulled, *factors)[1](factors)
+            for way in (multiplied, plain)
+        )
+        alike(twice, sought)
         changed = jnp.stack([factors[0], 2.0 * factors[0]])
         np.testing.assert_array_equal(jax.vmap(multiplied, (0, None))(changed, factors[1])[1], 2.0 * made)
 

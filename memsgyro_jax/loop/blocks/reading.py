@@ -88,13 +88,14 @@ def _moved(*parts: Array) -> tuple[Array, ...]:
 
 
 def _pulled(pulls: tuple[Any, ...], *parts: Any) -> tuple[Any, ...]:
-    """And backwards."""
+    """And backwards. What a turn tells is stacked by the next one: XLA would join it with the pull at the covariance,
+    and a loop over both would write the whole stack in every turn."""
     given, way = Scalars(*parts[: len(Scalars._fields)]), _Way(*parts[_KNOWN - len(_Way._fields) : _KNOWN])
     shift, covariance = parts[len(Scalars._fields) : len(Scalars._fields) + 2]
     pull = Read._make(jnp.zeros(p.aval.shape) if isinstance(p, ad.Zero) else p for p in pulls)
 
     def back(carry, was):
-        pull_shift, pulled, shift, covariance = carry
+        (pull_shift, pulled, shift, covariance), before = carry
         h, v, error, inverse, square, logarithm = was
         gain, a, along = v * inverse, multiplied(pulled, v), dot(pull_shift, v)
         error_there = error * inverse
@@ -107,13 +108,14 @@ def _pulled(pulls: tuple[Any, ...], *parts: Any) -> tuple[Any, ...]:
         pull_h = pull_spread * v + multiplied(covariance, pull_v) - pull_error * shift
         half = 0.5 * pull_v[:, None] * h[None]
         carry = pull_shift - pull_error * h, pulled + half + jnp.swapaxes(half, 0, 1), shift, covariance
-        return carry, (pull_h, pull_error, pull_spread)
+        return (carry, (pull_h, pull_error, pull_spread)), before
 
     even = 0.5 * (pull.covariance + jnp.swapaxes(pull.covariance, 0, 1))
-    start = pull.shift, even, shift, covariance
-    (_, at_start, _, _), told = jax.lax.scan(
-        back, start, (given.rows, *way, pull.squares, pull.logarithms), reverse=True
-    )
+    nothing = given.rows[0], *(given.innovation[0],) * 2
+    start = (pull.shift, even, shift, covariance), nothing
+    measured = (given.rows, *way, pull.squares, pull.logarithms)
+    ((_, at_start, _, _), first), later = jax.lax.scan(back, start, measured, reverse=True)
+    told = (jnp.concatenate([one[None], rest[:-1]]) for one, rest in zip(first, later, strict=True))
     moving = zip((*told, at_start), parts[_KNOWN:], strict=True)
     return (None,) * _KNOWN + tuple(p if ad.is_undefined_primal(part) else None for p, part in moving)
 

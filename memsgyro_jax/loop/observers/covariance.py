@@ -87,8 +87,12 @@ def matrix_of(covariance: Covariance) -> Float[Array, "states states *lanes"]:
 
 
 def blocks_of(matrix: Float[Array, "states states *lanes"]) -> Covariance:
-    """The blocks of the matrix."""
-    return Covariance(tuple(matrix[i, j] for i, j in UPPER), tuple(matrix[:4, 4:]), matrix[4:, 4:])
+    """The blocks of the matrix, split: the derivative of an indexed one is a sum of padded arrays."""
+    sizes = 4, len(matrix) - 4
+    moving, still = jax.lax.split(matrix, sizes)
+    motion, cross = jax.lax.split(moving, sizes, axis=1)
+    square = [entries(row) for row in entries(motion)]
+    return Covariance(tuple(square[i][j] for i, j in UPPER), entries(cross), jax.lax.split(still, sizes, axis=1)[1])
 
 
 def rows(covariance: Covariance, full: Matrix, kicks: tuple[Kick, ...]) -> Rows:
