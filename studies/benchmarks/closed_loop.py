@@ -3,10 +3,10 @@
 `--yardstick DIR` names a folder whose `run.py` prints JSON of the form {"name": {"steps_per_s": ...}}; it is run pinned
 to the same core, turn by turn with ours, and the fastest turns of both are compared by processor time (by wall clock, a
 busy machine would decide). Where there is an accelerator, `--many` dies run on it too, sample by sample and in blocks,
-by wall clock; all else runs on processors. What differs in the work: the sweep draws its own noise by (die, sample),
-steps plant and filter by the exact exponential, anneals the measurement variance, and gathers NIS, convergence and
-window statistics of every die; a yardstick does what its own description says, typically a 4th-order Taylor step and
-fading instead of annealing.
+by wall clock; all else runs on processors. What is being run is said on the way: all of it takes a quarter of an hour.
+What differs in the work: the sweep draws its own noise by (die, sample), steps plant and filter by the exact
+exponential, anneals the measurement variance, and gathers NIS, convergence and window statistics of every die; a
+yardstick does what its own description says, typically a 4th-order Taylor step and fading instead of annealing.
 """
 
 import argparse
@@ -92,6 +92,7 @@ def start(
     *arguments: str, cores: int, cache: str, program: tuple[str, ...] = (__file__, "--worker"), platform: str = "cpu"
 ) -> dict:
     """Runs Python on the first `cores` usable cores and reads the JSON that it prints last."""
+    print(" ".join((Path(program[0]).name, *program[1:], *arguments)), file=sys.stderr, flush=True)
     allowed = sorted(os.sched_getaffinity(0))[-cores:]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("XLA_FLAGS", "JAX_", "MEMSGYRO_"))}
     environment |= {"XDG_CACHE_HOME": cache, "OMP_NUM_THREADS": "1", "JAX_PLATFORMS": platform}
@@ -122,8 +123,9 @@ def measure(options: argparse.Namespace, cache: str, accelerator: str) -> tuple[
             blocks.setdefault(name, []).append(start(*longer, cores=1, cache=cache))
     ours |= {name: max(runs, key=lambda run: run["steps_per_s"]) for name, runs in blocks.items()}
     gradient = (str(Path(__file__).with_name("gradient.py")), "--worker", "--blocks", "--numbers", "10")
-    steps = str(round(options.duration * 100e3))
-    ours["gradient in blocks"] = start("--steps", steps, cores=1, cache=cache, program=gradient)
+    for name, times in LENGTHS.items():
+        steps = str(round(times * options.duration * 100e3))
+        ours[f"gradient {name}"] = start("--steps", steps, cores=1, cache=cache, program=gradient)
     ours["one_core"] = max(pinned, key=lambda run: run["steps_per_s"])
     ours["classic control"] = max(classic, key=lambda run: run["steps_per_s"])
     ours["second_start_s"] = min(run["first_call_s"] for run in pinned)
@@ -153,9 +155,9 @@ def table(ours: dict, yardsticks: dict, options: argparse.Namespace) -> list[tup
     for name in (*LENGTHS, "classic control"):
         speed = ours[name]["steps_per_s"]
         rows.append((name, f"{speed / 1e6:.2f} million samples/s, {speed / one['steps_per_s']:.2f} x one core"))
-    slope = ours["gradient in blocks"]
-    text = f"{slope['ratio']:.2f} x its primal by ten numbers, compiled in {slope['compile_gradient_s']:.1f} s"
-    rows.append(("gradient in blocks", text))
+    for name in (f"gradient {length}" for length in LENGTHS):
+        ratio, seconds = ours[name]["ratio"], ours[name]["compile_gradient_s"]
+        rows.append((name, f"{ratio:.2f} x its primal by ten numbers, compiled in {seconds:.1f} s"))
     for name, alone in {"two_cores": one, "two_cores in blocks": ours["in blocks"]}.items():
         if name in ours:
             both, limit = ours[name]["steps_per_wall_s"], 2.0 / (1.0 + ours[name]["serial_share"])
