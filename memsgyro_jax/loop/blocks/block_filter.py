@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from memsgyro_jax.base.arguments import arrays, check_kind
 from memsgyro_jax.base.errors import InputError
-from memsgyro_jax.device.gyro import AbstractGyro, DualMassGyro, Dynamics, MotionModel, Pair, Scalar, check_positive
+from memsgyro_jax.device.gyro import AbstractGyro, Dynamics, MotionModel, Pair, Scalar, check_positive
 from memsgyro_jax.device.propagate import State4
 
 from ..observers.base import AbstractObserver, Believed, Clock, Estimate
@@ -36,7 +36,7 @@ from . import basis
 from .advance import corrected, covariance_later
 from .algebra import multiplied, over_lanes
 from .basis import Turn
-from .length import ONE_MASS, TWO_MASSES, Blocks
+from .length import ONE_MASS, Blocks, pace_of
 
 
 class BlockUnderWay(NamedTuple):
@@ -100,12 +100,11 @@ class BlockFilter(AbstractObserver[BlockState]):
     ) -> "BlockFilter":
         """A filter that expects `gyro` behind `readout`, with the `settings` of `ExtendedKalmanFilter.for_device`.
 
-        A `start` of None is 512 samples for one mass and 2048 for two. Raises `InputError` for a length that is no
-        power of two, a frequency that is not positive, and settings that a block cannot hold.
+        A `start` of None is that of `Blocks`. Raises `InputError` for a length that is no power of two, a frequency
+        that is not positive, and settings that a block cannot hold.
         """
-        pace = TWO_MASSES if isinstance(gyro, DualMassGyro) else ONE_MASS
         made = ExtendedKalmanFilter.for_device(gyro, readout, **settings)
-        return cls(made, tones, length, pace.start if start is None else start)
+        return cls(made, tones, length, pace_of(gyro).start if start is None else start)
 
     @property
     def model(self) -> MotionModel:

@@ -6,9 +6,11 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Int
 
+from memsgyro_jax.base.concrete import is_concrete, settled
 from memsgyro_jax.base.display import Displayed
 from memsgyro_jax.base.errors import InputError
 from memsgyro_jax.base.text import excerpt
+from memsgyro_jax.device.gyro import AbstractGyro, DualMassGyro, mode_frequencies
 
 
 _SHORTEST = 128  # samples of a block that is worth its maps
@@ -18,14 +20,25 @@ _RENEWED = 16  # blocks after which maps are renewed at the latest
 
 class Pace(NamedTuple):
     """Samples one by one that bring a filter near enough, and by what factor blocks may grow in number until maps are
-    made anew, for kinds of devices: with the same noise a rate then ends within 1 % of its claimed deviation.
+    made anew, for kinds of devices: with the same noise a rate then ends where it ends sample by sample to 1 % of its
+    claimed deviation for the devices of the thesis, and to 1.5 % for those of `studies/any_device.py`.
     """
 
     start: int
     factor: float
 
 
-ONE_MASS, TWO_MASSES = Pace(512, 3.0), Pace(2048, 1.0)
+ONE_MASS, MATCHED_MODES, TWO_MASSES = Pace(512, 3.0), Pace(1024, 3.0), Pace(2048, 1.0)
+_MATCHED = 0.02  # of a mode: nearer ones show their coefficients later (with 512 samples up to 7 % of a deviation)
+
+
+def pace_of(gyro: AbstractGyro) -> Pace:
+    """That of `gyro`; the longer one of its kind where its modes are not known, inside a transformation."""
+    if isinstance(gyro, DualMassGyro):
+        return TWO_MASSES
+    modes = mode_frequencies(settled(gyro))
+    apart = is_concrete(modes) and np.all(modes[..., 1] - modes[..., 0] > _MATCHED * modes[..., 0])
+    return ONE_MASS if apart else MATCHED_MODES
 
 
 class Blocks(Displayed):
@@ -33,11 +46,11 @@ class Blocks(Displayed):
     blocks that grow: none is longer than half of what has passed before it.
 
     The filter must have come near enough by then that the device is linear in what it does not know yet; a `start` of
-    None is 512 for one mass and 2048 for two, whose coefficients show themselves later. `projected`
-    takes the noise of the very samples that the loop would draw one by one, instead of drawing a block's statistics: as
-    dear as they are, for comparison. `alike` are the tones, counted along x and then y, that share a frequency; None
-    where that is not known. `ramps` projects the samples on the modes times a ramp too, which the motion holds where a
-    tone drives them; None adds them there.
+    None is 512 for one mass, 1024 where its modes are within 2 % of each other and 2048 for two masses, whose
+    coefficients show themselves later. `projected` takes the noise of the very samples that the loop would draw one by
+    one, instead of drawing a block's statistics: as dear as they are, for comparison. `alike` are the tones, counted
+    along x and then y, that share a frequency; None where that is not known. `ramps` projects the samples on the modes
+    times a ramp too, which the motion holds where a tone drives them; None adds them there.
 
     Raises `InputError` for a length that is no power of two, and a start below 1.
     """

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from memsgyro_jax.base.concrete import is_concrete
-from memsgyro_jax.device.gyro import DualMassGyro, MotionModel, Scalar
+from memsgyro_jax.device.gyro import MotionModel, Scalar
 from memsgyro_jax.device.propagate import AbstractDiscretisation
 
 from .. import engine, noise
@@ -25,7 +25,7 @@ from . import basis
 from .advance import Facts, advanced
 from .algebra import matrix_over_lanes, over_lanes
 from .law import Lanes, same_frequency, strikes_modes, tones_of
-from .length import ONE_MASS, TWO_MASSES, Pace, lengths, renewals
+from .length import lengths, pace_of, renewals
 from .maps import Maps, maps_of
 from .true_maps import TrueMaps, ramp_of, true_maps_of
 
@@ -62,7 +62,7 @@ def prepared(loop: ClosedLoop, apart: bool = False) -> tuple[ClosedLoop, tuple[s
     if reasons:
         return replace(loop, blocks=None), (f"the loop runs sample by sample, not in blocks: {'; '.join(reasons)}.",)
     blocks = loop.blocks
-    start = _pace(loop).start if blocks.start is None else blocks.start
+    start = pace_of(loop.device).start if blocks.start is None else blocks.start
     alike = same_frequency(loop.controller, apart) if blocks.alike is None else blocks.alike
     ramps = strikes_modes(loop.controller, loop.device) if blocks.ramps is None else blocks.ramps
     ready = replace(loop, blocks=replace(blocks, start=start, alike=alike, ramps=ramps))
@@ -88,10 +88,6 @@ def taken_as_constant(loop: ClosedLoop) -> str:
     walking = [name for name, intensity in pairs if is_concrete(intensity) and np.any(np.asarray(intensity) > 0.0)]
     of = f"in blocks of {loop.blocks.length} samples the filter takes what walks ({', '.join(walking)}) as constant"
     return of if walking else ""
-
-
-def _pace(loop: ClosedLoop) -> Pace:
-    return TWO_MASSES if isinstance(loop.device, DualMassGyro) else ONE_MASS
 
 
 def statistics(loop: ClosedLoop) -> int:
@@ -190,7 +186,7 @@ def _factor(loop: ClosedLoop, scenario: Scenario) -> float:
     change from block to block, told by the kinds of its profiles.
     """
     acting = (scenario.rate, *scenario.damping_change, *scenario.cross_rate, *scenario.acceleration)
-    return _pace(loop).factor if all(isinstance(profile, Constant) for profile in acting) else 1.0
+    return pace_of(loop.device).factor if all(isinstance(profile, Constant) for profile in acting) else 1.0
 
 
 class BlockCourse(eqx.Module):
