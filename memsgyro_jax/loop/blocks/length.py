@@ -36,9 +36,11 @@ def pace_of(gyro: AbstractGyro) -> Pace:
     """That of `gyro`; the longer one of its kind where its modes are not known, inside a transformation."""
     if isinstance(gyro, DualMassGyro):
         return TWO_MASSES
-    modes = mode_frequencies(settled(gyro))
-    apart = is_concrete(modes) and np.all(modes[..., 1] - modes[..., 0] > _MATCHED * modes[..., 0])
-    return ONE_MASS if apart else MATCHED_MODES
+    still = settled(gyro)
+    if not is_concrete(still):
+        return MATCHED_MODES
+    modes = mode_frequencies(still)
+    return ONE_MASS if np.all(modes[..., 1] - modes[..., 0] > _MATCHED * modes[..., 0]) else MATCHED_MODES
 
 
 class Blocks(Displayed):
